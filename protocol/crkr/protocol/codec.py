@@ -1,0 +1,173 @@
+"""Bytes on the wire: msgpack maps, arrays as {"shape", "dtype", "data"}, ids as 16 bytes; nothing that executes."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+from uuid import UUID
+
+import msgpack
+import numpy as np
+from crkr.protocol.errors import Invalid, Unsupported
+from crkr.protocol.keys import PROTOCOL_VERSION
+from numpy.typing import NDArray
+
+__all__ = [
+    "MAX_MESSAGE_BYTES",
+    "MAX_STATES",
+    "MAX_TRIALS",
+    "Array",
+    "array_from_wire",
+    "array_to_wire",
+    "check_encoding",
+    "encoding",
+    "id_from_wire",
+    "pack",
+    "unpack",
+]
+
+Array = NDArray[np.float64]
+
+MAX_MESSAGE_BYTES: Final = 8 * 1024 * 1024
+MAX_STATES: Final = 4096
+MAX_TRIALS: Final = 1024
+_MEDIA: Final = "application/msgpack"
+_DTYPES: Final = ("<f8", "<f4", "<i8")
+_ENCODING: Final = re.compile(rf"{_MEDIA};crkr\.[a-z_]+\.v(\d+)")
+
+
+def encoding(kind: str) -> str:
+    """Zenoh encoding of a message, e.g. "application/msgpack;crkr.predict.v1"."""
+    return f"{_MEDIA};crkr.{kind}.v{PROTOCOL_VERSION}"
+
+
+def check_encoding(text: str) -> None:
+    """Accepts this version's encodings, plain msgpack, and none at all (Zenoh then says "zenoh/bytes").
+
+    Raises:
+        Unsupported: Another version or another media type.
+    """
+    if text in ("", _MEDIA, "zenoh/bytes"):
+        return
+    match = _ENCODING.fullmatch(text)
+    if match is None or int(match[1]) != PROTOCOL_VERSION:
+        raise Unsupported(
+            f"encoding {text!r} is not offered; this is {encoding('<type>')!r}",
+            details={"protocol": PROTOCOL_VERSION, "encoding": text},
+        )
+
+
+def _default(value: object) -> object:
+    if isinstance(value, np.ndarray):
+        return array_to_wire(value)
+    if isinstance(value, UUID):
+        return value.bytes
+    if isinstance(value, np.generic):
+        return value.item()
+    raise TypeError(f"{type(value).__name__} cannot be sent: {value!r}")
+
+
+def pack(message: Mapping[str, Any]) -> bytes:
+    """Encodes a message; arrays become array maps, UUIDs 16 bytes.
+
+    Raises:
+        Invalid: Something in it is not plain data.
+    """
+    try:
+        return bytes(msgpack.packb(message, default=_default, use_bin_type=True))
+    except (TypeError, ValueError, OverflowError) as error:
+        raise Invalid(f"message cannot be encoded: {error}") from error
+
+
+def unpack(data: bytes) -> dict[str, Any]:
+    """Decodes one message.
+
+    Raises:
+        Invalid: Too large, not msgpack, not a map, or keys that are not text.
+    """
+    if len(data) > MAX_MESSAGE_BYTES:
+        raise Invalid(f"message has {len(data)} bytes; the limit is {MAX_MESSAGE_BYTES}")
+    if not data:
+        return {}
+    try:
+        message = msgpack.unpackb(data, raw=False, strict_map_key=True)
+    except (ValueError, TypeError, RecursionError, OverflowError, msgpack.UnpackException) as error:
+        raise Invalid(f"message is not msgpack with text keys: {type(error).__name__}: {error}") from error
+    if not isinstance(message, dict) or not all(isinstance(key, str) for key in message):
+        raise Invalid(f"message must be a map with text keys; got {type(message).__name__}")
+    return message
+
+
+def array_to_wire(array: NDArray[Any]) -> dict[str, Any]:
+    """Encodes an array as its map: integers as <i8, float32 as <f4, all else as <f8."""
+    dtype = "<i8" if array.dtype.kind in "iub" else "<f4" if array.dtype == np.float32 else "<f8"
+    data = np.ascontiguousarray(array, dtype=dtype)
+    return {"shape": list(array.shape), "dtype": dtype, "data": data.tobytes()}
+
+
+def _from_map(value: Mapping[str, Any], name: str) -> NDArray[Any]:
+    shape, dtype, data = value.get("shape"), value.get("dtype"), value.get("data")
+    if dtype not in _DTYPES:
+        raise Invalid(f"{name}.dtype must be one of {', '.join(_DTYPES)}; got {dtype!r}")
+    if (
+        not isinstance(shape, list)
+        or len(shape) > 4
+        or not all(type(size) is int and 0 <= size <= MAX_MESSAGE_BYTES for size in shape)
+    ):
+        raise Invalid(f"{name}.shape must be a list of at most 4 sizes; got {shape!r:.80}")
+    expected = int(dtype[2]) * int(np.prod(shape, dtype=object))
+    if not isinstance(data, bytes) or len(data) != expected:
+        got = f"{len(data)} bytes" if isinstance(data, bytes) else type(data).__name__
+        raise Invalid(f"{name}.data must be {expected} bytes for shape {shape} of {dtype}; got {got}")
+    return np.frombuffer(data, dtype=dtype).reshape(shape)
+
+
+def _from_list(value: Sequence[Any], name: str) -> NDArray[Any]:
+    def numbers(items: Sequence[Any], depth: int) -> list[Any]:
+        if depth > 2:
+            raise Invalid(f"{name} is nested more than 2 deep")
+        return [numbers(item, depth + 1) if isinstance(item, list | tuple) else number(item) for item in items]
+
+    def number(item: object) -> float:
+        if item is None:
+            return float("nan")
+        if isinstance(item, bool) or not isinstance(item, int | float):
+            raise Invalid(f"{name} must hold numbers; got {type(item).__name__}")
+        return float(item)
+
+    try:
+        return np.array(numbers(value, 1), dtype=np.float64)
+    except (ValueError, OverflowError) as error:
+        raise Invalid(f"{name} must be a regular list of numbers: {error}") from error
+
+
+def array_from_wire(value: object, name: str) -> Array:
+    """Decodes an array map or a nested list into a fresh float64 array; null becomes NaN.
+
+    Raises:
+        Invalid: Neither form, or sizes and bytes that disagree.
+    """
+    if isinstance(value, Mapping):
+        array = _from_map(value, name)
+    elif isinstance(value, list | tuple):
+        array = _from_list(value, name)
+    elif isinstance(value, int | float) and not isinstance(value, bool):
+        array = np.array(value, dtype=np.float64)
+    else:
+        raise Invalid(f"{name} must be an array map or a list of numbers; got {type(value).__name__}")
+    return np.array(array, dtype=np.float64)
+
+
+def id_from_wire(value: object, name: str = "id") -> UUID:
+    """Decodes an id.
+
+    Raises:
+        Invalid: Not 16 bytes.
+    """
+    if isinstance(value, UUID):
+        return value
+    if not isinstance(value, bytes) or len(value) != 16:
+        got = f"{len(value)} bytes" if isinstance(value, bytes) else type(value).__name__
+        raise Invalid(f"{name} must be 16 bytes (a UUID); got {got}")
+    return UUID(bytes=value)

@@ -1,0 +1,114 @@
+"""The named axes of a task: states, goals and measured outcomes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, final
+
+from crkr.protocol.checks import number, required, text
+from crkr.protocol.errors import Invalid
+
+__all__ = ["GoalDimension", "OutcomeEntry", "StateDimension"]
+
+
+def _box(entry: Mapping[str, Any], where: str) -> tuple[float, float]:
+    return number(required(entry, "low"), f"{where}.low"), number(required(entry, "high"), f"{where}.high")
+
+
+def _name(entry: object, where: str) -> tuple[Mapping[str, Any], str, str]:
+    if not isinstance(entry, Mapping):
+        raise Invalid(f"{where} must be a map with a name; got {type(entry).__name__}")
+    name = text(required(entry, "name"), f"{where}.name", longest=64)
+    if not name:
+        raise Invalid(f"{where}.name must not be empty")
+    return entry, name, text(entry.get("unit", ""), f"{where}.unit", longest=32)
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class StateDimension:
+    """One coordinate of the situation; the box describes and refuses nothing.
+
+    Attributes:
+        name: Field's name, unique in the spec.
+        unit: Unit of the values, e.g. "m".
+        low: Usual minimum [unit].
+        high: Usual maximum [unit].
+        lengthscale: Distance over which goals change [unit]; (high - low) / 4 unless given.
+    """
+
+    name: str
+    unit: str
+    low: float
+    high: float
+    lengthscale: float
+
+    @classmethod
+    def from_dict(cls, entry: object, where: str) -> StateDimension:
+        """Reads one entry of a spec's `state`; raises `Invalid`."""
+        entry, name, unit = _name(entry, where)
+        low, high = _box(entry, where)
+        if not low < high:
+            raise Invalid(f"{where} ({name}) needs low < high; got [{low}, {high}]")
+        lengthscale = number(entry.get("lengthscale", (high - low) / 4), f"{where}.lengthscale", above=0.0)
+        return cls(name, unit, low, high, lengthscale)
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class GoalDimension:
+    """One meta-parameter; its bounds are hard and inclusive.
+
+    Attributes:
+        name: Field's name, unique in the spec.
+        unit: Unit of the values, e.g. "rad".
+        low: Smallest goal allowed [unit].
+        high: Largest goal allowed [unit].
+        scale: Size of a usual difference between good goals [unit]; (high - low) / 4 unless given.
+    """
+
+    name: str
+    unit: str
+    low: float
+    high: float
+    scale: float
+
+    @classmethod
+    def from_dict(cls, entry: object, where: str) -> GoalDimension:
+        """Reads one entry of a spec's `goal`; raises `Invalid`."""
+        entry, name, unit = _name(entry, where)
+        low, high = _box(entry, where)
+        if low > high:
+            raise Invalid(f"{where} ({name}) needs low <= high; got [{low}, {high}]")
+        scale = number(entry.get("scale", (high - low) / 4), f"{where}.scale", above=0.0)
+        return cls(name, unit, low, high, scale)
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class OutcomeEntry:
+    """One signed number that a skill can measure after a trial.
+
+    Attributes:
+        name: Field's name, unique in the spec.
+        unit: Unit of the values, e.g. "m".
+        target: What a perfect trial measures [unit].
+        tolerance: Deviation from the target that still succeeds [unit].
+        group: Entries of one group are observed together.
+    """
+
+    name: str
+    unit: str
+    target: float
+    tolerance: float
+    group: str
+
+    @classmethod
+    def from_dict(cls, entry: object, where: str) -> OutcomeEntry:
+        """Reads one entry of a spec's `outcome`; raises `Invalid`."""
+        entry, name, unit = _name(entry, where)
+        target = number(entry.get("target", 0.0), f"{where}.target")
+        tolerance = number(required(entry, "tolerance"), f"{where}.tolerance", above=0.0)
+        group = text(entry.get("group", name), f"{where}.group", longest=64)
+        return cls(name, unit, target, tolerance, group)

@@ -1,0 +1,27 @@
+"""Identifiers that several processes derive alike, so that a repeated message names the same thing."""
+
+from __future__ import annotations
+
+from uuid import NAMESPACE_URL, UUID, uuid5
+
+__all__ = ["demonstration_id", "evaluation_id", "task_id", "training_id"]
+
+
+def task_id(task: str, text: str) -> UUID:
+    """uuid5 of `text` in the task's own namespace, which is uuid5(NAMESPACE_URL, "crkr/" + task)."""
+    return uuid5(uuid5(NAMESPACE_URL, f"crkr/{task}"), text)
+
+
+def demonstration_id(task: str, index: int) -> UUID:
+    """Id of demonstration `index`, counted from 0: workers that start together record each once."""
+    return task_id(task, f"demo/{index}")
+
+
+def evaluation_id(task: str, epoch: int, ball: int) -> UUID:
+    """Id of the evaluation trial of context `ball` after `epoch`."""
+    return task_id(task, f"eval/{epoch}/{ball}")
+
+
+def training_id(task: str, worker_seed: int, first_seq: int, count: int) -> UUID:
+    """Id of a worker's `count`-th training trial; `first_seq` is the log position it found when it started."""
+    return task_id(task, f"trial/{worker_seed}/{first_seq}/{count}")

@@ -1,0 +1,92 @@
+"""Key expressions of protocol version 1, and the names that may stand in them.
+
+`@v1` is written literally: Zenoh's wildcards do not match a chunk that starts with `@`.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Final
+
+from crkr.protocol.errors import Invalid
+
+__all__ = [
+    "ADMIN_VERBS",
+    "PROTOCOL_VERSION",
+    "SERVER_VERBS",
+    "TASK_VERBS",
+    "admin_key",
+    "check_name",
+    "live_server_key",
+    "live_worker_key",
+    "pub_key",
+    "rpc_key",
+    "split_key",
+    "task_key",
+]
+
+PROTOCOL_VERSION: Final = 1
+ROOT: Final = f"crkr/@v{PROTOCOL_VERSION}"
+SERVER_VERBS: Final = ("info", "tasks", "create_task")
+TASK_VERBS: Final = ("predict", "report", "status", "model", "samples", "explain")
+ADMIN_VERBS: Final = ("recost", "remove", "refit", "configure", "archive")
+NAME: Final = re.compile(r"[a-z0-9][a-z0-9-]{0,62}")
+
+
+def check_name(name: object, what: str = "task name") -> str:
+    """Returns `name` if it may stand in a key.
+
+    Raises:
+        Invalid: It is not 1 to 63 of a-z, 0-9 and '-', starting with a letter or digit.
+    """
+    if not isinstance(name, str) or NAME.fullmatch(name) is None:
+        raise Invalid(
+            f"{what} must be 1 to 63 characters of a-z, 0-9 and '-', starting with a letter or digit; got {name!r}"
+        )
+    return name
+
+
+def rpc_key(verb: str) -> str:
+    """Key of a server-wide query, e.g. info."""
+    return f"{ROOT}/rpc/{verb}"
+
+
+def task_key(task: str, verb: str) -> str:
+    """Key of a task's query, e.g. predict."""
+    return f"{ROOT}/task/{task}/rpc/{verb}"
+
+
+def admin_key(task: str, verb: str) -> str:
+    """Key of a task's administration, e.g. recost: a prefix of its own, so that an ACL can deny it."""
+    return f"{ROOT}/task/{task}/admin/{verb}"
+
+
+def pub_key(task: str, topic: str) -> str:
+    """Key of a task's publications: topic is model, trial or evaluation."""
+    return f"{ROOT}/task/{task}/pub/{topic}"
+
+
+def live_server_key(server_id: str) -> str:
+    """Key of a server's liveliness token."""
+    return f"{ROOT}/live/server/{server_id}"
+
+
+def live_worker_key(task: str, worker_id: str) -> str:
+    """Key of a worker's liveliness token."""
+    return f"{ROOT}/task/{task}/live/worker/{worker_id}"
+
+
+def split_key(key: str) -> tuple[str, str, str]:
+    """Splits a query's key into (scope, task, verb); scope is "rpc", "task" or "admin", task "" for "rpc".
+
+    Raises:
+        Invalid: The key is none of the protocol's.
+    """
+    match key.removeprefix(f"{ROOT}/").split("/"):
+        case ["rpc", verb]:
+            return "rpc", "", verb
+        case ["task", task, "rpc", verb]:
+            return "task", task, verb
+        case ["task", task, "admin", verb]:
+            return "admin", task, verb
+    raise Invalid(f"key {key!r} is not one of protocol version {PROTOCOL_VERSION}")

@@ -1,0 +1,85 @@
+"""The nested settings of a task: its kernel and its way to explore."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, final
+
+from crkr.protocol.checks import choice, integer, number
+from crkr.protocol.errors import Invalid
+
+__all__ = ["Exploration", "KernelSettings"]
+
+
+def _map(value: object, name: str) -> Mapping[str, Any]:
+    if not isinstance(value, Mapping):
+        raise Invalid(f"{name} must be a map; got {type(value).__name__}")
+    return value
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class KernelSettings:
+    """Squared-exponential kernel with one length-scale a dimension, and an optional linear term.
+
+    Attributes:
+        type: "se-ard", the only one.
+        signal_variance: Variance of the scaled goals before any sample.
+        linear_weight: Weight of the linear term z.z'; 0 is the paper's kernel.
+    """
+
+    type: str = "se-ard"
+    signal_variance: float = 1.0
+    linear_weight: float = 0.0
+
+    @classmethod
+    def from_dict(cls, value: object) -> KernelSettings:
+        """Reads a spec's `kernel`; raises `Invalid`."""
+        entry = _map(value, "kernel")
+        return cls(
+            choice(entry.get("type", "se-ard"), "kernel.type", ("se-ard",)),
+            number(entry.get("signal_variance", 1.0), "kernel.signal_variance", above=0.0),
+            number(entry.get("linear_weight", 0.0), "kernel.linear_weight", low=0.0),
+        )
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Exploration:
+    """How `explore` draws a goal.
+
+    Attributes:
+        type: "gaussian" (the paper) or "outcome" (guided by measured outcomes).
+        trust: Standard deviations of the mean that the outcome model may move it.
+        temperature: Scales of the draw, one chosen per trial.
+        neighbours: Executed trials that each local outcome model is fitted to.
+        iterations: Linearisations of the outcome model.
+        min_trials: Executed trials before the outcome model is used.
+        gate: Predicted outcome, in tolerances, above which the mean is corrected.
+    """
+
+    type: str = "gaussian"
+    trust: float = 4.0
+    temperature: tuple[float, ...] = (0.1, 0.5)
+    neighbours: int = 60
+    iterations: int = 2
+    min_trials: int = 20
+    gate: float = 2.0
+
+    @classmethod
+    def from_dict(cls, value: object) -> Exploration:
+        """Reads a spec's `exploration`; raises `Invalid`."""
+        entry = _map(value, "exploration")
+        temperatures = entry.get("temperature", [0.1, 0.5])
+        if not isinstance(temperatures, list | tuple) or not temperatures:
+            raise Invalid(f"exploration.temperature must be a list of numbers; got {temperatures!r:.80}")
+        return cls(
+            choice(entry.get("type", "gaussian"), "exploration.type", ("gaussian", "outcome")),
+            number(entry.get("trust", 4.0), "exploration.trust", above=0.0),
+            tuple(number(item, "exploration.temperature", above=0.0) for item in temperatures),
+            integer(entry.get("neighbours", 60), "exploration.neighbours", low=1),
+            integer(entry.get("iterations", 2), "exploration.iterations", low=1),
+            integer(entry.get("min_trials", 20), "exploration.min_trials", low=1),
+            number(entry.get("gate", 2.0), "exploration.gate", low=0.0),
+        )

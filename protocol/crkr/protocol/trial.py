@@ -1,0 +1,171 @@
+"""One trial: in this state this goal was tried and it cost that."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from hashlib import blake2b
+from typing import Any, Final, final
+from uuid import UUID
+
+import numpy as np
+from crkr.protocol.checks import choice, finite_array, flag, integer, number, required, text
+from crkr.protocol.codec import Array, array_from_wire, id_from_wire, pack
+from crkr.protocol.errors import Invalid
+from crkr.protocol.task_spec import TaskSpec
+
+__all__ = ["KINDS", "Trial"]
+
+KINDS: Final = ("trial", "demonstration", "evaluation", "failed")
+MAX_INFO_BYTES: Final = 16 * 1024
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Trial:
+    """A reported sample; make it with `create` or `from_wire`, which check it against the task.
+
+    Attributes:
+        id: Chosen by the reporter; the same id is stored once.
+        state: (d,) the situation.
+        goal: (p,) the meta-parameters that were executed.
+        cost: In [0, 1]; None only for kind "failed".
+        success: What the skill chose to learn from.
+        kind: "trial", "demonstration", "evaluation" or "failed".
+        outcome: (q,) measured numbers, NaN where not observed; None where none were given.
+        worker: Who reported it.
+        model_version: The model that proposed the goal.
+        info: Plain data for people and exports.
+    """
+
+    id: UUID
+    state: Array
+    goal: Array
+    cost: float | None
+    success: bool
+    kind: str = "trial"
+    outcome: Array | None = None
+    worker: str | None = None
+    model_version: int | None = None
+    info: Mapping[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def create(
+        cls,
+        spec: TaskSpec,
+        *,
+        id: UUID,  # noqa: A002 - the protocol's word
+        state: object,
+        goal: object,
+        cost: object,
+        success: object,
+        kind: object = "trial",
+        outcome: object = None,
+        worker: object = None,
+        model_version: object = None,
+        info: object = None,
+    ) -> Trial:
+        """Checks a trial against its task.
+
+        Raises:
+            Invalid: Wrong shapes, values that are not finite, a goal outside the bounds, a cost outside [0, 1].
+        """
+        checked_kind = choice(kind, "kind", KINDS)
+        successful = flag(success, "success")
+        if checked_kind == "failed" and successful:
+            raise Invalid("a trial of kind 'failed' cannot be a success", details={"field": "success"})
+        if cost is None and checked_kind != "failed":
+            raise Invalid(
+                f"cost may be null only for kind 'failed'; got kind {checked_kind!r}",
+                details={"field": "cost"},
+            )
+        return cls(
+            id=id_from_wire(id),
+            state=finite_array(state, "state", (len(spec.state),)),
+            goal=_goal(goal, spec),
+            cost=None if cost is None else number(cost, "cost", low=0.0, high=1.0),
+            success=successful,
+            kind=checked_kind,
+            outcome=_outcome(outcome, spec),
+            worker=None if worker is None else text(worker, "worker", longest=128),
+            model_version=None if model_version is None else integer(model_version, "model_version"),
+            info=_info(info),
+        )
+
+    @classmethod
+    def from_wire(cls, message: object, spec: TaskSpec) -> Trial:
+        """Reads one entry of a report; raises `Invalid`."""
+        if not isinstance(message, Mapping):
+            raise Invalid(f"a trial is a map; got {type(message).__name__}")
+        outcome = message.get("outcome")
+        return cls.create(
+            spec,
+            id=id_from_wire(required(message, "id")),
+            state=array_from_wire(required(message, "state"), "state"),
+            goal=array_from_wire(required(message, "goal"), "goal"),
+            cost=required(message, "cost"),
+            success=required(message, "success"),
+            kind=required(message, "kind"),
+            outcome=None if outcome is None else array_from_wire(outcome, "outcome"),
+            worker=message.get("worker"),
+            model_version=message.get("model_version"),
+            info=message.get("info"),
+        )
+
+    def to_wire(self) -> dict[str, Any]:
+        """The trial as a message map; absent optional fields are left out."""
+        message: dict[str, Any] = {
+            "id": self.id,
+            "state": self.state,
+            "goal": self.goal,
+            "cost": self.cost,
+            "success": self.success,
+            "kind": self.kind,
+        }
+        for name in ("outcome", "worker", "model_version"):
+            value = getattr(self, name)
+            if value is not None:
+                message[name] = value
+        if self.info:
+            message["info"] = dict(self.info)
+        return message
+
+    def digest(self) -> bytes:
+        """16 bytes that are equal exactly when the content (bitwise, provenance aside) is."""
+        cost = np.float64("nan") if self.cost is None else np.float64(self.cost)
+        head = bytes([KINDS.index(self.kind), self.success, self.outcome is not None, self.cost is not None])
+        content = [head, self.state.tobytes(), self.goal.tobytes(), cost.tobytes()]
+        if self.outcome is not None:
+            content.append(self.outcome.tobytes())
+        return blake2b(b"".join(content), digest_size=16).digest()
+
+
+def _goal(value: object, spec: TaskSpec) -> Array:
+    goal = finite_array(value, "goal", (len(spec.goal),))
+    for axis, given in zip(spec.goal, goal, strict=True):
+        if not axis.low <= given <= axis.high:
+            raise Invalid(
+                f"goal {axis.name!r} must be in [{axis.low}, {axis.high}] {axis.unit}; got {given}",
+                details={"field": "goal", "name": axis.name},
+            )
+    return goal
+
+
+def _outcome(value: object, spec: TaskSpec) -> Array | None:
+    if value is None:
+        return None
+    outcome = finite_array(value, "outcome", (len(spec.outcome),), allow_nan=True)
+    canonical = np.where(np.isnan(outcome), np.nan, outcome)  # one bit pattern for "not observed"
+    canonical.setflags(write=False)
+    return canonical
+
+
+def _info(value: object) -> dict[str, Any]:
+    if value is None:
+        return {}
+    if not isinstance(value, Mapping) or not all(isinstance(key, str) for key in value):
+        raise Invalid(f"info must be a map with text keys; got {type(value).__name__}")
+    size = len(pack(value))
+    if size > MAX_INFO_BYTES:
+        raise Invalid(f"info has {size} bytes; the limit is {MAX_INFO_BYTES}")
+    return dict(value)

@@ -48,8 +48,9 @@ from crkr.protocol.keys import (
     split_key,
     task_key,
 )
+from crkr.protocol.make_trials import make_trials
 from crkr.protocol.predict import Prediction, PredictRequest, check_states
-from crkr.protocol.report import Receipt, ReportRequest, StoredTrial, make_trials
+from crkr.protocol.report import Receipt, ReportRequest, StoredTrial
 from crkr.protocol.settings import Exploration, KernelSettings
 from crkr.protocol.task_spec import CHANGEABLE, TaskSpec
 from crkr.protocol.telemetry import MAX_TELEMETRY_BYTES, Geom, Trace, geoms_from_wire, geoms_to_wire

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, final
-from uuid import UUID, uuid4
 
-import numpy as np
 from crkr.protocol.checks import flag, integer, number, required
-from crkr.protocol.codec import MAX_TRIALS, id_from_wire
+from crkr.protocol.codec import MAX_TRIALS
 from crkr.protocol.errors import Invalid
-from crkr.protocol.predict import Prediction
 from crkr.protocol.task_spec import TaskSpec
 from crkr.protocol.trial import Trial
 
-__all__ = ["Receipt", "ReportRequest", "StoredTrial", "make_trials"]
+__all__ = ["Receipt", "ReportRequest", "StoredTrial"]
 
 
 @final
@@ -125,86 +122,3 @@ class StoredTrial:
             number(required(message, "time"), "time"),
             flag(message.get("removed", False), "removed"),
         )
-
-
-def make_trials(
-    spec: TaskSpec,
-    answer: Prediction | None = None,
-    *,
-    state: object = None,
-    goal: object = None,
-    cost: object,
-    success: object,
-    kind: str = "trial",
-    id: UUID | bytes | Sequence[UUID | bytes] | None = None,  # noqa: A002 - the protocol's word
-    outcome: object = None,
-    worker: str | None = None,
-    model_version: int | None = None,
-    info: Mapping[str, Any] | Sequence[Mapping[str, Any]] | None = None,
-) -> tuple[Trial, ...]:
-    """The trials that the arguments of `report` mean, for one or for a batch.
-
-    Args:
-        spec: The task.
-        answer: The prediction that was tried: gives state, goal, ids and model_version.
-        state: (d,) or (b, d) where there is no answer.
-        goal: (p,) or (b, p) that was executed; overrides the answer's goals.
-        cost: One cost in [0, 1] or None, or b of them.
-        success: One flag, or b of them.
-        kind: The kind of all of them.
-        id: One id, or b of them; the answer's, or random ones, where absent.
-        outcome: (q,) or (b, q), or None.
-        worker: Who reports.
-        model_version: The model that proposed the goals.
-        info: One map for all, or b of them.
-
-    Raises:
-        Invalid: Neither answer nor state and goal, sizes that disagree, or a value that is not allowed.
-    """
-    if answer is not None:
-        state = answer.states if state is None else state
-        goal = answer.goals if goal is None else goal
-        id = answer.trial_ids if id is None else id  # noqa: A001
-        model_version = answer.model_version if model_version is None else model_version
-    if state is None or goal is None:
-        raise Invalid("report needs an answer of predict, or both state and goal")
-    single = np.ndim(state) < 2  # type: ignore[arg-type]
-    count = 1 if single else len(state)  # type: ignore[arg-type]
-    ids = [uuid4() for _ in range(count)] if id is None else [id] if isinstance(id, UUID | bytes) else list(id)
-
-    def rows(value: object, name: str) -> list[Any]:
-        """One value a trial."""
-        if single:
-            return [value]
-        if len(value) != count:  # type: ignore[arg-type]
-            raise Invalid(f"{name} must have one entry a state: {count}; got {len(value)}")  # type: ignore[arg-type]
-        return list(value)  # type: ignore[call-overload]
-
-    def spread(value: object) -> list[Any]:
-        """One value a trial, from one for all or one each."""
-        is_list = isinstance(value, list | tuple | np.ndarray) and np.ndim(value) > 0  # type: ignore[arg-type]
-        return list(value) if is_list else [value] * count  # type: ignore[call-overload]
-
-    outcomes = [None] * count if outcome is None else rows(outcome, "outcome")
-    columns = {"cost": spread(cost), "success": spread(success), "id": ids, "info": spread(info)}
-    for name, column in columns.items():
-        if len(column) != count:
-            raise Invalid(f"{name} must have one entry a state: {count}; got {len(column)}")
-    return tuple(
-        Trial.create(
-            spec,
-            id=id_from_wire(columns["id"][index]),
-            state=one_state,
-            goal=one_goal,
-            cost=columns["cost"][index],
-            success=columns["success"][index],
-            kind=kind,
-            outcome=one_outcome,
-            worker=worker,
-            model_version=model_version,
-            info=columns["info"][index],
-        )
-        for index, (one_state, one_goal, one_outcome) in enumerate(
-            zip(rows(state, "state"), rows(goal, "goal"), outcomes, strict=True)
-        )
-    )

@@ -82,7 +82,7 @@ class Skill(Protocol):
         ...
 
     def execute(self, goal: Floats) -> Outcome:
-        """Tries a goal (p,) in the situation of the last `reset`; a bad goal is reported with its reason, not raised."""
+        """Tries a goal (p,) in the situation of the last `reset`; a bad goal gives its reason, no exception."""
         ...
 
     def demonstrations(self, count: int, rng: np.random.Generator) -> Sequence[Demonstration]:

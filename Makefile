@@ -1,0 +1,44 @@
+# Everything a fresh clone needs. Python >= 3.11 and a package registry are enough; .venv is made on first use.
+#   PYTHON=python3.12   another interpreter        ARGS="..."   options for crkr demo or pytest
+.DEFAULT_GOAL := help
+.PHONY: help setup demo test lint format lock campaign compose-test clean
+
+BIN := .venv/bin
+ROOTS := protocol learner client server sim_worker dashboard experiments
+TYPED := $(ROOTS) tests $(wildcard examples)
+COMPOSE ?=
+export PYTHON
+
+help: ## show this list
+	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 22
+
+setup: ## make .venv from the lock (quick when it is complete)
+	@scripts/setup
+
+demo: setup ## learn table tennis here, from nothing; ARGS="--trials 200 --json"
+	@$(BIN)/crkr demo $(ARGS)
+
+test: lint ## ruff, mypy and pytest; ARGS="-k name"
+	@$(BIN)/pytest $(ARGS)
+
+lint: setup ## ruff and mypy only
+	@$(BIN)/ruff check .
+	@$(BIN)/ruff format --check .
+	@$(BIN)/mypy $(TYPED)
+
+format: setup ## rewrite the sources in the house format
+	@$(BIN)/ruff check --fix-only --quiet .
+	@$(BIN)/ruff format .
+
+lock: setup ## regenerate requirements/*.lock; UPGRADE=1 takes the newest versions
+	@UPGRADE=$(UPGRADE) scripts/lock
+
+campaign: setup ## the long trials of endurance
+	@$(BIN)/pytest -m campaign --timeout=3600 $(ARGS)
+
+compose-test: setup ## two workers learn through a server, each in its own container
+	@$(BIN)/python tests/system/compose_check.py $(if $(COMPOSE),--compose "$(COMPOSE)")
+
+clean: ## remove .venv, caches and build output; never data
+	@rm -rf .venv .setup.lock .mypy_cache .pytest_cache .ruff_cache .hypothesis build dist
+	@find $(TYPED) -name __pycache__ -type d -prune -exec rm -rf {} +

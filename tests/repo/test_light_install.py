@@ -1,0 +1,56 @@
+"""The base install is a client for robots: importing it, or asking for help, must not need the extras."""
+
+import json
+import subprocess
+import sys
+
+HEAVY = ["clarabel", "coal", "joblib", "matplotlib", "mujoco", "pinocchio", "rerun", "scipy", "sklearn"]
+
+# Runs a statement where the extras cannot be imported at all, and prints which modules came in.
+HARNESS = """
+import importlib.abc, json, sys
+
+class Absent(importlib.abc.MetaPathFinder):
+    def find_spec(self, name, path, target=None):
+        if BLOCK and name.split(".")[0] in HEAVY:
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+
+sys.meta_path.insert(0, Absent())
+try:
+    STATEMENT
+except SystemExit as exit:
+    assert not exit.code, exit.code
+print(json.dumps(sorted({name.split(".")[0] for name in sys.modules})), file=sys.stderr)
+"""
+HELP = "sys.argv = ['crkr', '--help']; from crkr.client.main import main; main()"
+
+
+def _run(statement: str, *, block: bool) -> tuple[str, set[str]]:
+    """Standard output of a fresh interpreter, and the top-level modules it had imported at the end."""
+    code = f"HEAVY, BLOCK = {HEAVY!r}, {block!r}\n" + HARNESS.replace("STATEMENT", statement)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout, set(json.loads(done.stderr.splitlines()[-1]))
+
+
+def test_importing_the_client_imports_no_heavy_library() -> None:
+    _, modules = _run("import crkr.client", block=False)
+    assert "zenoh" in modules
+    assert modules.isdisjoint(HEAVY)
+
+
+def test_asking_for_help_imports_no_heavy_library() -> None:
+    text, modules = _run(HELP, block=False)
+    assert "server" in text
+    assert modules.isdisjoint(HEAVY)
+
+
+def test_the_client_and_the_command_work_without_the_extras() -> None:
+    _run("import crkr.client, crkr.protocol", block=True)
+    text, _ = _run(HELP, block=True)
+    assert "server" in text
+
+
+def test_a_heavy_import_is_seen() -> None:
+    _, modules = _run("import scipy.linalg", block=False)
+    assert not modules.isdisjoint(HEAVY)

@@ -1,0 +1,120 @@
+"""Fixtures that every part's tests may ask for: a free port, and a real server in a process of its own."""
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+import zenoh
+
+INFO = "crkr/@v1/rpc/info"
+READY_WITHIN_S = 20.0
+GONE_WITHIN_S = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class RunningServer:
+    """A `crkr server` process that answers."""
+
+    endpoint: str
+    port: int
+    data: Path
+    log: Path
+    process: subprocess.Popen[bytes]
+
+
+def unused_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+    return port
+
+
+def client_config(endpoint: str) -> zenoh.Config:
+    """Plain Zenoh, none of our client: what any language's binding would be given."""
+    config = zenoh.Config()
+    config.insert_json5("mode", '"client"')
+    config.insert_json5("connect/endpoints", f'["{endpoint}"]')
+    config.insert_json5("connect/timeout_ms", "0")
+    config.insert_json5("scouting/multicast/enabled", "false")
+    config.insert_json5("scouting/gossip/enabled", "false")
+    return config
+
+
+def answers(endpoint: str) -> bool:
+    """Whether a server answers `info` at an endpoint."""
+    try:
+        with zenoh.open(client_config(endpoint)) as session:
+            return any(reply.ok is not None for reply in session.get(INFO, timeout=1.0))
+    except zenoh.ZError:
+        return False
+
+
+def wait_until_ready(server: RunningServer) -> None:
+    """Returns when the server answers; fails when it ends or stays silent."""
+    deadline = time.monotonic() + READY_WITHIN_S
+    while not answers(server.endpoint):
+        try:
+            code = server.process.wait(timeout=0.05)
+        except subprocess.TimeoutExpired:
+            if time.monotonic() > deadline:
+                pytest.fail(f"no server at {server.endpoint} within {READY_WITHIN_S} s:\n{server.log.read_text()}")
+        else:
+            pytest.fail(f"the server ended with status {code}:\n{server.log.read_text()}")
+
+
+@contextmanager
+def running_server(data: Path, log: Path, port: int, *options: str) -> Iterator[RunningServer]:
+    endpoint = f"tcp/127.0.0.1:{port}"
+    command = [sys.executable, "-m", "crkr.client", "server", "--listen", endpoint, "--data", str(data), *options]
+    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
+    with log.open("ab") as sink, subprocess.Popen(command, stdout=sink, stderr=sink, env=environment) as process:
+        server = RunningServer(endpoint, port, data, log, process)
+        try:
+            wait_until_ready(server)
+            yield server
+        finally:
+            stop(process)
+            sys.stdout.write(log.read_text())  # pytest shows it beside a failure, and only then
+
+
+def stop(process: subprocess.Popen[bytes]) -> None:
+    """Asks a process to end as a service manager would; one that does not is killed and fails the test."""
+    process.send_signal(signal.SIGTERM)
+    try:
+        process.wait(timeout=GONE_WITHIN_S)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        pytest.fail(f"process {process.pid} did not end within {GONE_WITHIN_S} s of SIGTERM")
+
+
+@pytest.fixture
+def free_port() -> int:
+    """A loopback port that nothing listens on."""
+    return unused_port()
+
+
+@pytest.fixture
+def start_server(tmp_path: Path) -> Iterator[Callable[..., RunningServer]]:
+    """Starts servers: `start_server(*options, data=DIR, port=PORT)`; all of them are stopped at the end of the test."""
+    with ExitStack() as stack:
+
+        def start(*options: str, data: Path | None = None, port: int | None = None) -> RunningServer:
+            return stack.enter_context(
+                running_server(data or tmp_path / "data", tmp_path / "server.log", port or unused_port(), *options)
+            )
+
+        yield start
+
+
+@pytest.fixture
+def server(start_server: Callable[..., RunningServer]) -> RunningServer:
+    """A server with an empty data directory, ready to be asked."""
+    return start_server()

@@ -10,8 +10,6 @@ from scipy.optimize import linprog, minimize
 from crkr.protocol.errors import Invalid
 from crkr.sim_worker.table_tennis.bench_primitive import bench_primitive, draw_goals
 from crkr.sim_worker.table_tennis.primitive import Infeasible, JointLimits, JointTrajectory, Primitive
-from crkr.sim_worker.table_tennis.quadratic_program import InteriorPoint, Unsolved
-from crkr.sim_worker.table_tennis.swing_program import SwingProgram
 
 Floats = NDArray[np.float64]
 
@@ -324,19 +322,6 @@ def test_limits_that_no_joint_can_have_are_invalid(name: str, value: list[float]
     fields = {"lower": [0.0], "upper": [1.0], "speed": [1.0], "acceleration": [1.0], name: value}
     with pytest.raises(Invalid, match=message):
         JointLimits(**{key: np.array(entry) for key, entry in fields.items()})
-
-
-def test_a_solver_that_fails_says_so_and_serves_the_next_goal() -> None:
-    program = SwingProgram(N, HIT, 20.0)
-    solver = InteriorPoint(program)
-    targets, bound = np.array([0.2, 0.01, 0.0]), np.repeat([0.012, 0.05, 5.0, 5.0], N)
-    before = solver.solve(np.zeros(N), targets, -bound, bound, 0.012)
-    assert solver.solve(np.zeros(N), np.array([np.nan, 0.0, 0.0]), -bound, bound, 0.012) is Unsolved.FAILED
-    assert solver.solve(np.zeros(N), np.array([20.0, 0.0, 0.0]), -bound, bound, 0.012) is Unsolved.INFEASIBLE
-    after = solver.solve(np.zeros(N), targets, -bound, bound, 0.012)
-    assert not isinstance(before, Unsolved)
-    assert not isinstance(after, Unsolved)
-    np.testing.assert_array_equal(before, after)
 
 
 @pytest.mark.parametrize("shortcuts", [True, False])

@@ -10,8 +10,8 @@ is no promise that a fixed point is reached: where it is not, an interior-point 
 from __future__ import annotations
 
 import numpy as np
-import scipy.linalg
 from numpy.typing import NDArray
+from scipy.linalg.lapack import dposv
 
 from crkr.sim_worker.table_tennis.swing_program import SwingProgram
 
@@ -49,11 +49,10 @@ def hold_limits(program: SwingProgram, free: Floats, lower: Floats, upper: Float
         if active.size > program.intervals - len(program.equalities):
             return None  # more limits than free directions
         excess = start[active] - np.where(above, upper, lower)[active]
-        try:
-            factor = scipy.linalg.cho_factor(program.coupling[np.ix_(active, active)], check_finite=False)
-        except scipy.linalg.LinAlgError:
-            return None  # dependent limits
+        _, held, dependent = dposv(program.coupling[np.ix_(active, active)], excess)
+        if dependent:
+            return None
         multipliers = np.zeros_like(start)
-        multipliers[active] = scipy.linalg.cho_solve(factor, excess, check_finite=False)
-        values = start - program.coupling[:, active] @ multipliers[active]
+        multipliers[active] = held
+        values = start - program.coupling[:, active] @ held
     return None

@@ -107,7 +107,7 @@ class Primitive:
     ) -> None:
         if not 4 <= hit_interval <= intervals - 4:
             raise Invalid(f"hit_interval must be in 4..{intervals - 4}; got {hit_interval}")
-        number(smoothness, "smoothness", low=0.0)
+        number(smoothness, "smoothness", low=0.0, high=1e6)
         joints = limits.lower.size
         if profile is None:
             profile = np.zeros((intervals, joints))

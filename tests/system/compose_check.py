@@ -1,0 +1,215 @@
+"""Run compose.yaml for real: two workers, each in a container, learn through the server in its own.
+
+Not collected by pytest: it needs a container engine. `make compose-test` runs it. It builds the images, starts everything
+under a project name of its own (so that nobody's data is touched), reads the task's log over plain Zenoh through the
+published port, restarts the server to see that its volume keeps the log, and removes what it started.
+"""
+
+import argparse
+import os
+import shlex
+import shutil
+import socket
+import subprocess
+import sys
+import threading
+import time
+import urllib.error
+import urllib.request
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, TypeVar
+
+import msgpack
+import zenoh
+
+REPOSITORY = Path(__file__).parents[2]
+PROJECT = "crkr-compose-test"
+TASK = "crkr/@v1/task/table-tennis/rpc"
+WORKERS = 2
+EACH = 5  # successful trials that every worker must have contributed
+BUILT_WITHIN_S, READY_WITHIN_S, LEARNED_WITHIN_S, STEP_WITHIN_S = 1800.0, 90.0, 300.0, 120.0
+
+T = TypeVar("T")
+
+
+class Failed(Exception):
+    """What did not happen, in one line."""
+
+
+def say(text: str) -> None:
+    sys.stdout.write(text + "\n")
+    sys.stdout.flush()
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+    return port
+
+
+def engine() -> list[str]:
+    """The compose command of this machine, or what to install."""
+    docker = shutil.which("docker")
+    if docker and subprocess.run([docker, "info"], capture_output=True, timeout=30, check=False).returncode == 0:
+        return [docker, "compose"]
+    podman = shutil.which("podman-compose")
+    if podman:
+        return [podman]
+    raise Failed(
+        "no container engine answers. Start Docker, or install podman and podman-compose, or name another: "
+        'make compose-test COMPOSE="my-compose"'
+    )
+
+
+class Compose:
+    """`compose.yaml` under a project name and ports of its own."""
+
+    def __init__(self, command: list[str]) -> None:
+        self.port, self.web_port = free_port(), free_port()
+        self._command = [*command, "-p", PROJECT]
+        self._environment = {
+            **os.environ,
+            "CRKR_PORT": str(self.port),
+            "CRKR_WEB_PORT": str(self.web_port),
+            "CRKR_STREAM_PORT": str(free_port()),
+        }
+
+    def run(self, *arguments: str, timeout_s: float = STEP_WITHIN_S) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [*self._command, *arguments],
+            cwd=REPOSITORY,
+            env=self._environment,
+            capture_output=True,
+            text=True,
+            timeout=timeout_s,
+            check=False,
+        )
+
+    def must(self, *arguments: str, timeout_s: float = STEP_WITHIN_S) -> str:
+        done = self.run(*arguments, timeout_s=timeout_s)
+        if done.returncode != 0:
+            raise Failed(f"compose {' '.join(arguments)} ended with {done.returncode}:\n{done.stdout}{done.stderr}")
+        return done.stdout
+
+
+def until(what: str, within_s: float, attempt: Callable[[], T | None]) -> T:
+    """Repeats an attempt, a second apart, until it returns something; fails at the deadline."""
+    deadline = time.monotonic() + within_s
+    pause = threading.Event()
+    while (result := attempt()) is None:
+        if time.monotonic() > deadline:
+            raise Failed(f"{what}: not within {within_s:.0f} s")
+        pause.wait(1.0)
+    return result
+
+
+def ask(port: int, verb: str, request: dict[str, Any]) -> dict[str, Any] | None:
+    """One query to the task, in plain Zenoh and msgpack; None where nobody answers or the answer is an error."""
+    config = zenoh.Config()
+    for key, value in {
+        "mode": '"client"',
+        "connect/endpoints": f'["tcp/127.0.0.1:{port}"]',
+        "connect/timeout_ms": "0",
+        "scouting/multicast/enabled": "false",
+    }.items():
+        config.insert_json5(key, value)
+    try:
+        with zenoh.open(config) as session:
+            for reply in session.get(f"{TASK}/{verb}", payload=msgpack.packb(request), timeout=5.0):
+                if reply.ok is not None:
+                    answer: dict[str, Any] = msgpack.unpackb(reply.ok.payload.to_bytes())
+                    return answer
+    except zenoh.ZError:
+        return None
+    return None
+
+
+def learned_by_worker(port: int) -> Counter[str] | None:
+    """Successful training trials in the log, by worker."""
+    counts: Counter[str] = Counter()
+    after: int | None = 0
+    while after is not None:
+        page = ask(port, "samples", {"after": after, "limit": 1000})
+        if page is None:
+            return None
+        counts.update(str(s["worker"]) for s in page["samples"] if s["kind"] == "trial" and s["success"])
+        after = page["next"]
+    return counts
+
+
+def check(compose: Compose) -> None:
+    say("building the images (the first time this takes minutes)")
+    compose.must("build", timeout_s=BUILT_WITHIN_S)
+    compose.must("up", "-d", "--scale", f"worker={WORKERS}")
+    until("the server's health check", READY_WITHIN_S, lambda: healthy(compose))
+    say(f"the server is healthy; {WORKERS} workers start")
+    learned = until("trials of every worker in the log", LEARNED_WITHIN_S, lambda: both_learned(compose))
+    say("successful trials by worker: " + ", ".join(f"{name} {count}" for name, count in sorted(learned.items())))
+    until("the viewer's page", READY_WITHIN_S, lambda: page(compose))
+    compose.must("stop", "worker")
+    compare_restart(compose)
+
+
+def healthy(compose: Compose) -> bool | None:
+    done = compose.run("exec", "-T", "server", "crkr", "status", "--check")
+    return True if done.returncode == 0 else None
+
+
+def both_learned(compose: Compose) -> Counter[str] | None:
+    counts = learned_by_worker(compose.port) or Counter()
+    return counts if sum(count >= EACH for count in counts.values()) >= WORKERS else None
+
+
+def page(compose: Compose) -> bool | None:
+    try:
+        with urllib.request.urlopen(f"http://127.0.0.1:{compose.web_port}/", timeout=5) as answer:
+            return True if answer.status == 200 else None
+    except (urllib.error.URLError, ConnectionError):
+        return None
+
+
+def compare_restart(compose: Compose) -> None:
+    """The model must be the same after a restart: its version is what the log says, and the log is in the volume."""
+    before = until("the status before the restart", READY_WITHIN_S, lambda: ask(compose.port, "status", {}))
+    compose.must("restart", "server")
+    after = until("the status after the restart", READY_WITHIN_S, lambda: ask(compose.port, "status", {}))
+    for field in ("samples", "eligible", "active", "model_version"):
+        if before[field] != after[field]:
+            raise Failed(f"{field} was {before[field]} before the restart and is {after[field]} after it")
+    say(f"the server restarted with the same {after['eligible']} eligible samples, {after['active']} of them active")
+
+
+@contextmanager
+def stopped_at_the_end(compose: Compose) -> Iterator[None]:
+    try:
+        yield
+    except Failed:
+        for service in ("server", "worker", "watch"):
+            say(f"--- {service}\n" + compose.run("logs", "--tail", "40", service).stdout)
+        raise
+    finally:
+        compose.must("down", "-v")
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description="Run compose.yaml for real and see two workers learn.")
+    parser.add_argument("--compose", type=shlex.split, help="compose command, for example 'docker compose'")
+    command = parser.parse_args().compose
+    started = time.monotonic()
+    try:
+        compose = Compose(command or engine())
+        with stopped_at_the_end(compose):
+            check(compose)
+    except (Failed, subprocess.TimeoutExpired) as failure:
+        say(f"compose-test failed: {failure}")
+        return 1
+    say(f"compose-test passed in {time.monotonic() - started:.0f} s")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

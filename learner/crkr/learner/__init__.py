@@ -1,0 +1,55 @@
+"""Cost-regularized Kernel Regression over an active set that Adaptive Non-Maximal Suppression picks.
+
+References in brackets: [Cardoso2017] the paper on Adaptive Non-Maximal Suppression filtering for Cost-regularized
+Kernel Regression; [Amagata2023] Amagata and Hara, dynamic density-peaks clustering; [FIPS202] the SHA-3 standard.
+"""
+
+from __future__ import annotations
+
+from crkr.learner.anms import Anms
+from crkr.learner.anms_batch import radii, radii_kdtree, top
+from crkr.learner.cost import saturated_cost
+from crkr.learner.draws import draw_ids, uniforms
+from crkr.learner.evidence import FitProblem, FitResult, fit, log_evidence
+from crkr.learner.freeze import Freeze
+from crkr.learner.full import Full
+from crkr.learner.kernel import Kernel
+from crkr.learner.learner import SELECTORS, Learner
+from crkr.learner.model import Model
+from crkr.learner.noise import noise_variances
+from crkr.learner.parameters import Parameters
+from crkr.learner.regression import Regression
+from crkr.learner.review import Review
+from crkr.learner.selection import RadiiCache
+from crkr.learner.selector import Radii, Selector, SelectorFactory, Standing
+from crkr.learner.truncated_normal import truncated_normal
+
+__all__ = [
+    "SELECTORS",
+    "Anms",
+    "FitProblem",
+    "FitResult",
+    "Freeze",
+    "Full",
+    "Kernel",
+    "Learner",
+    "Model",
+    "Parameters",
+    "Radii",
+    "RadiiCache",
+    "Regression",
+    "Review",
+    "Selector",
+    "SelectorFactory",
+    "Standing",
+    "draw_ids",
+    "fit",
+    "log_evidence",
+    "noise_variances",
+    "radii",
+    "radii_kdtree",
+    "saturated_cost",
+    "top",
+    "truncated_normal",
+    "uniforms",
+]

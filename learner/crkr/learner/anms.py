@@ -1,0 +1,177 @@
+"""Adaptive Non-Maximal Suppression, kept exact while samples come, go and change cost.
+
+    Z   (n, d)  standardised states, oldest first          sup  (n,)  number of the suppressor; -1: none is better
+    c   (n,)    costs; NaN: removed                        r2   (n,)  squared radii; -1: removed
+    d2  (n,)    squared distances to the sample in hand    k          budget
+
+A radius depends on better samples only. So a new sample finds its own radius, and shrinks those of the worse ones it
+is nearer to than their suppressors: one pass, O(n d), in which about one radius changes whatever n is. Removing or
+re-costing a sample concerns only those whose suppressor it is. Density-peak clustering keeps the same quantity, which
+it calls the dependent distance, while its data change [Amagata2023].
+"""
+
+from __future__ import annotations
+
+from typing import Final, final
+
+import numpy as np
+from crkr.learner.anms_batch import Indices, radii_kdtree
+from crkr.learner.growable import Growable
+from crkr.learner.kernel import squared_distances
+from crkr.learner.reserve import Reserve
+from crkr.learner.selector import Radii, Standing
+from crkr.protocol import Array
+from numpy.typing import NDArray
+
+__all__ = ["Anms"]
+
+Mask = NDArray[np.bool_]
+
+_PASS: Final = 1.0  # cost of one sample in one pass of `_insert`, in units that
+_TREE: Final = 1e4  # make this the cost of one sample in a batch build
+
+
+@final
+class Anms:
+    """Algorithm 2 of [Cardoso2017], incrementally: after any sequence of calls the active set is the batch algorithm's.
+
+    Args:
+        dimensions: d.
+        budget: k, the largest number of active samples.
+    """
+
+    def __init__(self, dimensions: int, budget: int) -> None:
+        self._Z = Growable(np.float64, (dimensions,))
+        self._c = Growable(np.float64)
+        self._r2 = Growable(np.float64)
+        self._sup = Growable(np.int32)
+        self._d2 = np.empty(0)
+        self._near = np.empty(0, dtype=np.bool_)
+        self._reserve = Reserve(budget)
+
+    @property
+    def active(self) -> Indices:
+        """Numbers of the k samples of largest radius, ascending."""
+        return self._reserve.chosen
+
+    def extend(self, Z: Array, costs: Array) -> None:
+        """Adds samples one by one, or all in one batch where that costs less; the result is the same."""
+        n, added = len(self._c), len(costs)
+        if _PASS * added * (n + added / 2) > _TREE * (n + added):
+            self.rebuild(np.concatenate([self._Z.rows, Z]), np.concatenate([self._c.rows, costs]))
+            return
+        for z, cost in zip(Z, costs, strict=True):
+            self._insert(z, float(cost))
+
+    def remove(self, index: int) -> None:
+        """Forgets one sample; those it suppressed look for another suppressor."""
+        self._c.rows[index], self._r2.rows[index] = np.nan, -1.0
+        widowed = np.flatnonzero(self._sup.rows == index)
+        self._sup.rows[index] = -1
+        self._search(widowed)
+        self._reserve.update(self._r2.rows, np.append(widowed, index))
+
+    def recost(self, index: int, cost: float) -> None:
+        """Changes one cost: the sample's own radius, those it suppressed and those it suppresses now."""
+        c, r2, sup = self._c.rows, self._r2.rows, self._sup.rows
+        c[index] = cost
+        suppressed = np.flatnonzero(sup == index)
+        freed = suppressed[~self._is_better(index, suppressed)]
+        self._search(np.append(freed, index))
+        d2 = squared_distances(self._Z.rows[index : index + 1], self._Z.rows)[0]
+        nearer = np.flatnonzero((d2 < r2) | ((d2 == r2) & (index < sup)))
+        nearer = nearer[self._is_better(index, nearer)]
+        r2[nearer], sup[nearer] = d2[nearer], index
+        self._reserve.update(r2, np.concatenate([freed, nearer, [index]]))
+
+    def rebuild(self, Z: Array, costs: Array, radii: Radii | None = None) -> None:
+        """Takes these samples; without their radii, in about n log n. A cost of NaN marks a removed one."""
+        alive = np.flatnonzero(~np.isnan(costs))
+        if radii is None:
+            radii = Radii(*radii_kdtree(Z[alive], costs[alive]))
+        r2, sup = np.full(len(costs), -1.0), np.full(len(costs), -1)
+        r2[alive], sup[alive] = radii.squared, np.where(radii.suppressor < 0, -1, alive[radii.suppressor])
+        for column, values in ((self._Z, Z), (self._c, costs), (self._r2, r2), (self._sup, sup)):
+            column.replace(values)
+        self._reserve.reset(self._r2.rows)
+
+    def set_budget(self, budget: int) -> None:
+        """Selects anew with another k; radii do not depend on it."""
+        self._reserve = Reserve(budget)
+        self._reserve.reset(self._r2.rows)
+
+    def standing(self, index: int) -> Standing:
+        """The suppressor and the radius; neither for the best sample, nor for a removed one."""
+        suppressor = int(self._sup.rows[index])
+        return Standing(None, None) if suppressor < 0 else Standing(suppressor, float(np.sqrt(self._r2.rows[index])))
+
+    def radii(self) -> Radii:
+        """Squared radii and suppressors without the removed samples."""
+        alive = self._r2.rows >= 0
+        position = np.cumsum(alive) - 1
+        suppressor = self._sup.rows[alive].astype(np.int64)
+        return Radii(self._r2.rows[alive], np.where(suppressor < 0, -1, position[suppressor]))
+
+    def _insert(self, z: Array, cost: float) -> None:
+        new = len(self._c)
+        r2, sup = self._r2.rows, self._sup.rows
+        d2 = self._distances(z, new)
+        changed = np.flatnonzero(np.less(d2, r2, out=self._near[:new]))
+        radius, suppressor = self._nearest_better(d2, cost)
+        changed = changed[self._c.rows[changed] > cost]  # equal costs: the older is the better
+        r2[changed], sup[changed] = d2[changed], new
+        for column, value in ((self._Z, z), (self._c, cost), (self._r2, radius), (self._sup, suppressor)):
+            column.append(value)
+        self._reserve.update(self._r2.rows, np.append(changed, new))
+
+    def _distances(self, z: Array, count: int) -> Array:
+        if len(self._d2) < count:
+            self._d2, self._near = np.empty(2 * count), np.empty(2 * count, dtype=np.bool_)
+        d2 = self._d2[:count]
+        if count:
+            squared_distances(z[None], self._Z.rows, out=d2[None])
+        return d2
+
+    def _nearest_better(self, d2: Array, cost: float) -> tuple[float, int]:
+        """Squared distance to and number of the nearest older sample with a cost of at most `cost`.
+
+        The nearest sample of all, or one up its chain of suppressors, is good enough; only what is no farther than that
+        one need be looked at.
+        """
+        c, sup = self._c.rows, self._sup.rows
+        if not len(d2):
+            return np.inf, -1
+        nearest = found = int(d2.argmin())
+        while found >= 0 and not c[found] <= cost:
+            if np.isnan(c[found]):  # a removed sample has no suppressor to follow
+                return _nearest(d2, c <= cost)
+            found = int(sup[found])
+        if found < 0:
+            return np.inf, -1
+        if found != nearest:
+            near = np.flatnonzero(np.less_equal(d2, d2[found], out=self._near[: len(d2)]))
+            near = near[c[near] <= cost]
+            found = int(near[d2[near].argmin()])
+        return float(d2[found]), found
+
+    def _search(self, indices: Indices) -> None:
+        """Finds radius and suppressor of each sample from scratch."""
+        c = self._c.rows
+        for index in indices:
+            better = c < c[index]
+            better[:index] |= c[:index] == c[index]
+            d2 = squared_distances(self._Z.rows[index : index + 1], self._Z.rows)[0]
+            self._r2.rows[index], self._sup.rows[index] = _nearest(d2, better)
+
+    def _is_better(self, index: int, others: Indices) -> Mask:
+        c = self._c.rows
+        better: Mask = (c[index] < c[others]) | ((c[index] == c[others]) & (index < others))
+        return better
+
+
+def _nearest(d2: Array, among: Mask) -> tuple[float, int]:
+    candidates = np.flatnonzero(among)
+    if not len(candidates):
+        return np.inf, -1
+    found = int(candidates[d2[candidates].argmin()])
+    return float(d2[found]), found

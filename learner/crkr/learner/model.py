@@ -1,0 +1,182 @@
+"""The policy at one moment: an immutable snapshot that answers while learning prepares the next."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, final
+from uuid import UUID
+
+import numpy as np
+from crkr.learner.draws import uniforms
+from crkr.learner.parameters import Parameters
+from crkr.learner.regression import Regression
+from crkr.learner.truncated_normal import truncated_normal
+from crkr.protocol import Array, Invalid, NoSamples, NovelState, Prediction, id_from_wire
+from crkr.protocol.checks import finite_array
+from crkr.protocol.codec import array_from_wire
+
+__all__ = ["Model"]
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Model:
+    """Active samples, their regression and the settings; every array is read-only. Make it with `create`.
+
+    Attributes:
+        version: Log position that it has applied.
+        parameters: The settings.
+        ids: (m,) ids of the active samples, in the order of the log.
+        states: (m, d) their states [units of the state].
+        goals: (m, p) their goals [units of the goal].
+        costs: (m,) their costs.
+        regression: Posterior of the scaled goals; None while there is no active sample.
+    """
+
+    version: int
+    parameters: Parameters
+    ids: tuple[UUID, ...]
+    states: Array
+    goals: Array
+    costs: Array
+    regression: Regression | None
+
+    @classmethod
+    def create(
+        cls,
+        version: int,
+        parameters: Parameters,
+        ids: Sequence[UUID],
+        states: Array,
+        goals: Array,
+        costs: Array,
+        previous: Model | None = None,
+    ) -> Model:
+        """Fits the regression to these samples, O(m^3); `previous` may save most of it where samples were only added.
+
+        The arrays become read-only.
+        """
+        for array in (states, goals, costs):
+            array.setflags(write=False)
+        regression = None
+        if len(costs):
+            kernel = parameters.kernel
+            scaled = (goals - parameters.prior) / parameters.scales
+            earlier = previous.regression if previous is not None else None
+            regression = Regression.fit(kernel, kernel.standardise(states), scaled, parameters.noise(costs), earlier)
+        return cls(version, parameters, tuple(ids), states, goals, costs, regression)
+
+    def at_version(self, version: int) -> Model:
+        """The same policy after events that did not change it."""
+        return replace(self, version=version)
+
+    @property
+    def active(self) -> int:
+        """How many samples are active."""
+        return len(self.ids)
+
+    def predict(
+        self, states: object, explore: bool = False, trial_ids: Sequence[UUID | bytes] | UUID | bytes | None = None
+    ) -> Prediction:
+        """Goals for one state or many  [Cardoso2017, alg. 1].
+
+        Means are prior + scale * mean, not clipped; sigmas are scale * explore_scale * sqrt(variance + exploration_floor).
+        Without `explore` the goals are the means, clipped to the bounds. With it they are independent draws from
+        N(mean, sigma^2) truncated to the bounds (the paper's N(0, sigma^2) is a slip), a pure function of the model,
+        the task's seed and the trial ids.
+
+        Args:
+            states: (d,) or (b, d) [units of the state].
+            explore: Draw goals to try.
+            trial_ids: One a state; required to explore.
+
+        Returns:
+            Goals (p,) or (b, p) [units of the goal], novelty () or (b,), and the ids as given.
+
+        Raises:
+            Invalid: States of another shape or not finite; ids missing, not 16 bytes, repeated, or not one a state.
+            NoSamples: No sample is active.
+            NovelState: A state is more novel than the task allows.
+        """
+        regression, own = self.regression, self.parameters
+        single = np.ndim(states) < 2  # type: ignore[arg-type]  # anything that is no array fails in the check
+        dimensions = len(own.kernel.centre)
+        checked = finite_array(states, "states", (dimensions,) if single else (None, dimensions))
+        ids = _checked_ids(trial_ids, 1 if single else len(checked), explore)
+        if regression is None:
+            raise NoSamples(f"task {own.task!r} has no active sample; report a demonstration or a success first")
+        z = own.kernel.standardise(checked)
+        if single:
+            mean, variance, prior = regression.at(z)
+            sigma: Any = variance**0.5 if not own.exploration_floor else (variance + own.exploration_floor) ** 0.5
+            sigmas = own.scales * (own.explore_scale * sigma)
+            novelty = np.asarray(min(variance / prior, 1.0))
+        else:
+            mean, variances, priors = regression.over(z)
+            sigmas = own.scales * (own.explore_scale * np.sqrt(variances + own.exploration_floor))[:, None]
+            novelty = np.minimum(variances / priors, 1.0)
+        self._refuse_novel(novelty)
+        means = own.prior + own.scales * mean
+        if explore:
+            u = uniforms(own.seed, ids, len(own.scales))
+            goals = truncated_normal(means, sigmas, own.low, own.high, u[0] if single else u)
+        else:
+            goals = np.minimum(np.maximum(means, own.low), own.high)
+        for array in (goals, means, sigmas, novelty):
+            array.setflags(write=False)
+        policy = "explore" if explore else "mean"
+        return Prediction(checked, goals, means, sigmas, novelty, ids, self.version, len(self.ids), policy)
+
+    def _refuse_novel(self, novelty: Array) -> None:
+        limit = self.parameters.novelty_limit
+        if limit is not None and (novelty > limit).any():
+            worst = int(np.argmax(novelty))
+            raise NovelState(
+                f"state {worst} has novelty {float(np.max(novelty)):.3f}; task {self.parameters.task!r} refuses above {limit}",
+                details={"index": worst, "novelty": float(np.max(novelty)), "limit": limit},
+            )
+
+    def to_wire(self) -> dict[str, Any]:
+        """The model as data, as the `model` query returns it."""
+        samples = {"states": self.states, "goals": self.goals, "costs": self.costs, "ids": list(self.ids)}
+        return {"version": self.version, **samples, **self.parameters.to_wire()}
+
+    @classmethod
+    def from_wire(cls, message: Mapping[str, Any]) -> Model:
+        """Rebuilds a model from what `to_wire` gave, before or after a trip over the network; it answers alike.
+
+        Raises:
+            Invalid: A field is missing or has another form.
+        """
+        parameters = Parameters.from_wire(message)
+        try:
+            version, ids = int(message["version"]), [id_from_wire(value, "ids") for value in message["ids"]]
+            given = {name: message[name] for name in ("states", "goals", "costs")}
+        except (KeyError, TypeError, ValueError) as error:
+            raise Invalid(f"a model must be as `model` returns it; {error!r}") from error
+        arrays = {
+            name: value if isinstance(value, np.ndarray) else array_from_wire(value, name)
+            for name, value in given.items()
+        }
+        m, d, p = len(ids), len(parameters.kernel.centre), len(parameters.scales)
+        return cls.create(
+            version,
+            parameters,
+            ids,
+            finite_array(arrays["states"].reshape(-1, d), "states", (m, d)),
+            finite_array(arrays["goals"].reshape(-1, p), "goals", (m, p)),
+            finite_array(arrays["costs"], "costs", (m,)),
+        )
+
+
+def _checked_ids(given: Sequence[UUID | bytes] | UUID | bytes | None, count: int, needed: bool) -> list[UUID]:
+    if given is None:
+        if needed:
+            raise Invalid("trial_ids are required to explore: the draw depends on them")
+        return []
+    listed = [given] if isinstance(given, UUID | bytes) else list(given)
+    ids = [id_from_wire(value, "trial_ids") for value in listed]
+    if len(ids) != count or len(set(ids)) != count:
+        raise Invalid(f"trial_ids must be {count} different ids, one a state; got {len(ids)}")
+    return ids

@@ -1,0 +1,133 @@
+"""Gaussian-process regression with a noise of its own for every sample.
+
+    Z  (m, d)   standardised states          K  (m, m)  kernel matrix of Z
+    Y  (m, p)   scaled goals minus prior     N  (m,)    noise variances
+    L  (m, m)   lower Cholesky factor of K + diag(N)
+    W  (m, p)   weights (K + diag(N))^-1 Y
+    k  (b, m)   kernel between queries and Z
+
+The factor is made once; nothing is ever inverted.
+"""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+from typing import Final, final
+
+import numpy as np
+from crkr.learner.kernel import Kernel
+from crkr.protocol import Array
+from scipy.linalg import blas, lapack
+
+__all__ = ["Regression"]
+
+_log = logging.getLogger(__name__)
+
+_BLOCK: Final = 512  # queries at a time: their kernel rows stay in the cache
+_APPEND_FROM: Final = 512  # below this size a fresh factor costs less than the care to extend one
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Regression:
+    """Posterior of the scaled goals; one kernel and one factor serve all p outputs.
+
+    With noise lambda c this is Cost-regularized Kernel Regression [Cardoso2017, alg. 1]; with a constant it is plain
+    Gaussian-process regression [Cardoso2017, eq. 3]. Make it with `fit`.
+
+    Attributes:
+        kernel: Covariance of the scaled goals.
+        Z: (m, d) standardised states of the samples.
+        noise: (m,) noise variances, as asked for.
+        L: (m, m) lower Cholesky factor, in Fortran order.
+        W: (m, p) weights.
+        floor: Smallest noise in force; larger than noise.min() only where that did not factor.
+    """
+
+    kernel: Kernel
+    Z: Array
+    noise: Array
+    L: Array
+    W: Array
+    floor: float
+
+    @classmethod
+    def fit(cls, kernel: Kernel, Z: Array, Y: Array, noise: Array, previous: Regression | None = None) -> Regression:
+        """Factors once, O(m^3), or O(m^2 (m - n)) where `previous` holds the first n of these samples.
+
+        Args:
+            kernel: Covariance of the scaled goals.
+            Z: (m, d) standardised states, m >= 1.
+            Y: (m, p) scaled goals minus their prior mean.
+            noise: (m,) noise variances, > 0.
+            previous: An earlier regression whose factor is extended if its samples lead these.
+        """
+        L, floor = _extended(kernel, Z, noise, previous) or _factor(kernel.matrix(Z, Z), noise)
+        W, _ = lapack.dpotrs(L, Y, lower=1)
+        regression = cls(kernel, Z, noise, L, np.ascontiguousarray(W), floor)
+        for array in (Z, noise, L, regression.W):
+            array.setflags(write=False)
+        return regression
+
+    def at(self, z: Array) -> tuple[Array, float, float]:
+        """Mean (p,), variance and prior variance of the scaled goals at one standardised state (d,)."""
+        k = self.kernel.matrix(z[None], self.Z)[0]
+        v = blas.dtrsv(self.L, k, lower=1)
+        prior = float(self.kernel.variance(z[None])[0])
+        return k @ self.W, max(prior - float(v @ v), 0.0), prior
+
+    def over(self, Z: Array) -> tuple[Array, Array, Array]:
+        """Means (b, p), variances (b,) and prior variances (b,) at standardised states (b, d)."""
+        means, variances = np.empty((len(Z), self.W.shape[1])), self.kernel.variance(Z)
+        prior = variances.copy()
+        for start in range(0, len(Z), _BLOCK):
+            block = slice(start, start + _BLOCK)
+            k = self.kernel.matrix(Z[block], self.Z)
+            np.matmul(k, self.W, out=means[block])
+            V = blas.dtrsm(1.0, self.L, k.T, lower=1, overwrite_b=1)  # (m, b), in place of k
+            variances[block] -= np.einsum("ij,ij->j", V, V)
+        return means, np.maximum(variances, 0.0), prior
+
+    def influence(self, z: Array) -> Array:
+        """(m,) weights with which each sample's goal enters the mean at z, (K + diag(N))^-1 k."""
+        weights, _ = lapack.dpotrs(self.L, self.kernel.matrix(z[None], self.Z)[0], lower=1)
+        return np.asarray(weights)
+
+
+def _factor(K: Array, noise: Array) -> tuple[Array, float]:
+    """Lower factor of K + diag(noise), and the noise floor it took: ten times more after every failed pivot."""
+    floor = asked = float(noise.min())
+    smallest_useful = np.finfo(np.float64).eps * float(K.diagonal().max())
+    diagonal = np.arange(len(K))
+    while True:
+        A = K.copy(order="F")
+        A[diagonal, diagonal] += np.maximum(noise, floor)
+        L, failed_pivot = lapack.dpotrf(A, lower=1, clean=1, overwrite_a=1)
+        if not failed_pivot:
+            break
+        floor = max(10.0 * floor, smallest_useful)
+    if floor > asked:
+        _log.warning(
+            "kernel matrix of %d samples factored only with noise floor %.1e (asked: %.1e)", len(K), floor, asked
+        )
+    return L, floor
+
+
+def _extended(kernel: Kernel, Z: Array, noise: Array, previous: Regression | None) -> tuple[Array, float] | None:
+    """The factor of `previous` with rows appended, or None where it cannot be extended."""
+    if previous is None or previous.kernel is not kernel or not _APPEND_FROM <= len(previous.Z) <= len(Z):
+        return None
+    n = len(previous.Z)
+    if previous.floor > float(noise.min()) or not (
+        np.array_equal(previous.noise, noise[:n]) and np.array_equal(previous.Z, Z[:n])
+    ):
+        return None
+    L = np.zeros((len(Z), len(Z)), order="F")
+    L[:n, :n] = previous.L
+    new = Z[n:]
+    rows = blas.dtrsm(1.0, previous.L, kernel.matrix(new, Z[:n]).T, lower=1)  # (n, a)
+    L[n:, :n] = rows.T
+    corner = kernel.matrix(new, new) + np.diag(noise[n:]) - rows.T @ rows
+    L[n:, n:], failed_pivot = lapack.dpotrf(corner, lower=1, clean=1)
+    return None if failed_pivot else (L, float(noise.min()))

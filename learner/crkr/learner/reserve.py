@@ -1,0 +1,73 @@
+"""The k largest of many radii that mostly shrink, without looking at all of them each time.
+
+    r2  (n,)  squared radii; -1: removed        k  budget        tau  smallest radius chosen
+
+A reserve of about 2k samples holds every radius that is at least `_floor`. Choosing k of them is exact as long as k of them
+are left; a new reserve, O(n), is drawn only when they run out or become too many.
+"""
+
+from __future__ import annotations
+
+from typing import Final, final
+
+import numpy as np
+from crkr.learner.anms_batch import Indices, top
+from crkr.protocol import Array
+
+__all__ = ["Reserve"]
+
+_RESERVE: Final = 2  # budgets that a new reserve holds
+_TOO_MANY: Final = 4  # times its first size, at which a reserve is drawn anew
+
+
+@final
+class Reserve:
+    """Keeps the choice of the k samples of largest radius; of equal radii the older is chosen.
+
+    Args:
+        budget: k.
+    """
+
+    def __init__(self, budget: int) -> None:
+        self._budget = budget
+        self._members: Indices = np.empty(0, dtype=np.int64)
+        self._floor = 0.0
+        self._limit = 0
+        self._tau = -np.inf
+        self.chosen: Indices = _frozen(self._members)
+
+    def reset(self, r2: Array) -> None:
+        """Draws a new reserve and chooses from it."""
+        self._draw(r2)
+        self._choose(r2)
+
+    def update(self, r2: Array, touched: Indices) -> None:
+        """Takes note that the radii of these samples changed, and chooses again where that can matter."""
+        joining = touched[r2[touched] >= self._floor]
+        if len(joining):
+            self._members = np.union1d(self._members, joining)
+        if (r2[touched] >= self._tau).any() or np.isin(touched, self.chosen, assume_unique=True).any():
+            if len(self._members) > self._limit:
+                self._draw(r2)
+            self._choose(r2)
+
+    def _draw(self, r2: Array) -> None:
+        size = min(_RESERVE * self._budget, int(np.count_nonzero(r2 >= 0)))
+        self._floor = float(np.partition(r2, len(r2) - size)[len(r2) - size]) if 0 < size < len(r2) else 0.0
+        self._members = np.flatnonzero(r2 >= self._floor)
+        self._limit = _TOO_MANY * max(len(self._members), self._budget)
+
+    def _choose(self, r2: Array) -> None:
+        self._members = self._members[r2[self._members] >= self._floor]
+        if len(self._members) < self._budget and self._floor > 0:
+            self._draw(r2)
+        radii = r2[self._members]
+        chosen = self._members[top(radii, self._budget)]
+        self._tau = float(r2[chosen].min()) if len(chosen) == self._budget else -np.inf
+        if not np.array_equal(chosen, self.chosen):
+            self.chosen = _frozen(chosen)
+
+
+def _frozen(indices: Indices) -> Indices:
+    indices.setflags(write=False)
+    return indices

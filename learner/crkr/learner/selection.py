@@ -1,0 +1,119 @@
+"""The selector seen from the store: rows of eligible trials instead of the selector's own numbers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+from crkr.learner.anms_batch import Indices
+from crkr.learner.growable import Growable
+from crkr.learner.kernel import standardise
+from crkr.learner.selector import Radii, Selector, SelectorFactory
+from crkr.learner.store import SampleStore
+from crkr.protocol import Array, TaskSpec
+
+__all__ = ["RadiiCache", "Selection"]
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class RadiiCache:
+    """What makes a restart quick; it may be dropped at any time.
+
+    Attributes:
+        version: Log position it belongs to.
+        seqs: (n,) log positions of the eligible samples, ascending.
+        squared: (n,) their squared radii, in creation length-scales.
+        suppressors: (n,) positions of their suppressors in these arrays; -1 for the best.
+    """
+
+    version: int
+    seqs: Indices
+    squared: Array
+    suppressors: Indices
+
+
+@final
+class Selection:
+    """Which rows of the store are active.
+
+    Args:
+        spec: The task as created: its length-scales measure distances for good.
+        store: The trials.
+        factory: Makes the selector.
+    """
+
+    def __init__(self, spec: TaskSpec, store: SampleStore, factory: SelectorFactory) -> None:
+        self._centre, self._lengthscales = spec.centres, spec.lengthscales
+        self._store = store
+        self._selector: Selector = factory(len(spec.state), spec.budget)
+        self._rows = Growable(np.int32)
+        self._numbers = self._selector.active
+        self.active: Indices = self._numbers.astype(np.int64)
+
+    def extend(self, rows: Indices) -> None:
+        """Takes rows that became eligible, younger than all before."""
+        if len(rows):
+            self._rows.extend(rows)
+            self._selector.extend(self._standardised(rows), self._store.costs[rows])
+            self._update()
+
+    def remove(self, row: int) -> None:
+        """Forgets a row; one that is not eligible is none of its business."""
+        number = self._number(row)
+        if number is not None:
+            self._selector.remove(number)
+            self._update()
+
+    def recost(self, row: int) -> None:
+        """Takes note of a row's new cost."""
+        number = self._number(row)
+        if number is not None:
+            self._selector.recost(number, float(self._store.costs[row]))
+            self._update()
+
+    def set_budget(self, budget: int) -> None:
+        """Changes how many rows may be active."""
+        self._selector.set_budget(budget)
+        self._update()
+
+    def rebuild(self, rows: Indices, cache: RadiiCache | None = None) -> None:
+        """Starts again from these rows; a cache that fits them saves the search for radii."""
+        radii = None
+        if cache is not None and np.array_equal(cache.seqs, self._store.seqs[rows]):
+            radii = Radii(cache.squared, cache.suppressors)
+        self._rows.replace(rows)
+        self._selector.rebuild(self._standardised(rows), self._store.costs[rows], radii)
+        self._update()
+
+    def standing(self, row: int) -> tuple[int | None, float | None]:
+        """Suppressor's row and distance to it in creation length-scales; None where there is none."""
+        number = self._number(row)
+        if number is None:
+            return None, None
+        standing = self._selector.standing(number)
+        suppressor = None if standing.suppressor is None else int(self._rows.rows[standing.suppressor])
+        return suppressor, standing.radius
+
+    def cache(self, version: int) -> RadiiCache | None:
+        """The radii at log position `version`, where the selector has any."""
+        radii = self._selector.radii()
+        if radii is None:
+            return None
+        rows = self._rows.rows
+        return RadiiCache(version, self._store.seqs[rows[~self._store.removed[rows]]], radii.squared, radii.suppressor)
+
+    def _standardised(self, rows: Indices) -> Array:
+        return standardise(self._store.states[rows], self._centre, self._lengthscales)
+
+    def _number(self, row: int) -> int | None:
+        rows = self._rows.rows
+        number = int(np.searchsorted(rows, row))
+        return number if number < len(rows) and rows[number] == row else None
+
+    def _update(self) -> None:
+        numbers = self._selector.active
+        if numbers is not self._numbers:
+            self._numbers = numbers
+            self.active = self._rows.rows[numbers].astype(np.int64)

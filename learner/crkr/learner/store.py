@@ -1,0 +1,150 @@
+"""Every trial that was ever reported, as columns: some 220 bytes a trial at d = 6, p = 13."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final, final
+from uuid import UUID
+
+import numpy as np
+from crkr.learner.anms_batch import Indices
+from crkr.learner.growable import Growable
+from crkr.learner.id_index import IdIndex, id_words
+from crkr.protocol import KINDS, Array, Conflict, Invalid, Trial
+from numpy.typing import NDArray
+
+__all__ = ["SampleStore"]
+
+_TRIAL: Final = KINDS.index("trial")
+_DEMONSTRATION: Final = KINDS.index("demonstration")
+
+
+@final
+class SampleStore:
+    """Columns of trials in the order of their log positions; rows are numbered from 0 and never move.
+
+    Args:
+        dimensions: d.
+        outputs: p.
+    """
+
+    def __init__(self, dimensions: int, outputs: int) -> None:
+        self._ids = Growable(np.uint64, (2,))
+        self._digests = Growable(np.uint64, (2,))
+        self._seqs = Growable(np.int64)
+        self._states = Growable(np.float64, (dimensions,))
+        self._goals = Growable(np.float64, (outputs,))
+        self._costs = Growable(np.float64)
+        self._kinds = Growable(np.uint8)
+        self._success = Growable(np.bool_)
+        self._removed = Growable(np.bool_)
+        self._index = IdIndex()
+
+    def __len__(self) -> int:
+        return len(self._seqs)
+
+    @property
+    def states(self) -> Array:
+        """(n, d) states, in their units."""
+        return self._states.rows
+
+    @property
+    def goals(self) -> Array:
+        """(n, p) executed goals, in their units."""
+        return self._goals.rows
+
+    @property
+    def costs(self) -> Array:
+        """(n,) present costs; NaN where there is none."""
+        return self._costs.rows
+
+    @property
+    def seqs(self) -> Indices:
+        """(n,) log positions, ascending."""
+        return self._seqs.rows
+
+    @property
+    def removed(self) -> NDArray[np.bool_]:
+        """(n,) which trials were taken out of learning."""
+        return self._removed.rows
+
+    def append(self, seq: int, trial: Trial) -> int:
+        """Stores a trial whose id is new; returns its row."""
+        row = len(self._seqs)
+        self._ids.append(id_words(trial.id.bytes))
+        self._digests.append(id_words(trial.digest()))
+        self._seqs.append(seq)
+        self._states.append(trial.state)
+        self._goals.append(trial.goal)
+        self._costs.append(np.nan if trial.cost is None else trial.cost)
+        self._kinds.append(KINDS.index(trial.kind))
+        self._success.append(trial.success)
+        self._removed.append(False)
+        self._index.add(row, self._ids.rows)
+        return row
+
+    def find(self, trial_id: UUID) -> int | None:
+        """Row of a trial, or None."""
+        return self._index.find(id_words(trial_id.bytes), self._ids.rows)
+
+    def rows_of(self, ids: Sequence[UUID]) -> list[int]:
+        """Rows of trials that must be there.
+
+        Raises:
+            Invalid: An id that was never reported.
+        """
+        rows = [self.find(trial_id) for trial_id in ids]
+        unknown = [str(trial_id) for trial_id, row in zip(ids, rows, strict=True) if row is None]
+        if unknown:
+            raise Invalid(
+                f"unknown ids: {', '.join(unknown[:5])}{' ...' * (len(unknown) > 5)}", details={"ids": unknown}
+            )
+        return [row for row in rows if row is not None]
+
+    def original(self, trial: Trial) -> int | None:
+        """Row of the same trial reported before, or None.
+
+        Raises:
+            Conflict: Its id was reported with other content.
+        """
+        row = self.find(trial.id)
+        if row is not None and tuple(self._digests.rows[row].tolist()) != id_words(trial.digest()):
+            raise Conflict(
+                f"id {trial.id} was reported before with other content; use a new id for a new trial",
+                details={"id": str(trial.id), "seq": int(self.seqs[row])},
+            )
+        return row
+
+    def ids(self, rows: Indices) -> list[UUID]:
+        """Ids of some rows."""
+        stream = self._ids.rows[rows].astype("<u8").tobytes()
+        return [UUID(bytes=stream[start : start + 16]) for start in range(0, len(stream), 16)]
+
+    def eligible(self, learn_from: str) -> NDArray[np.bool_]:
+        """(n,) which trials may be learned from: demonstrations, and successes or all executed trials."""
+        kinds = self._kinds.rows
+        tried = kinds == _TRIAL
+        if learn_from == "successes":
+            tried &= self._success.rows
+        return (tried | (kinds == _DEMONSTRATION)) & ~self._removed.rows
+
+    def demonstrations(self) -> Indices:
+        """Rows of the demonstrations that are not removed."""
+        return np.flatnonzero((self._kinds.rows == _DEMONSTRATION) & ~self._removed.rows)
+
+    def is_demonstration(self, row: int) -> bool:
+        """Whether this row is one."""
+        return bool(self._kinds.rows[row] == _DEMONSTRATION)
+
+    def counts(self) -> dict[str, int]:
+        """How many trials of each kind are stored, removed ones too."""
+        found = np.bincount(self._kinds.rows, minlength=len(KINDS))
+        return {kind: int(count) for kind, count in zip(KINDS, found, strict=True)}
+
+    def recost(self, row: int, cost: float) -> None:
+        """Changes the present cost; what was reported stays what duplicates are compared with."""
+        self._costs.rows[row] = cost
+
+    def remove(self, row: int) -> None:
+        """Takes a trial out of learning."""
+        self._removed.rows[row] = True

@@ -1,0 +1,59 @@
+"""Numbers of the game that formulas need; scene.xml holds the same ones, and a test compares them.
+
+Table, net and ball: International Table Tennis Federation, The Laws of Table Tennis, 2.1 to 2.3 [ITTF]. Restitution on
+the table follows from the 23 to 26 cm that a ball must bounce from 30 cm; friction and the paddle's values are of the
+usual size and our choice.
+Table frame: origin on the floor under the table's centre, x towards the opponent, y to the robot's left, z up.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+__all__ = [
+    "AIM",
+    "BALL_MASS",
+    "BALL_RADIUS",
+    "DRAG",
+    "FACE_OFFSET",
+    "GRAVITY",
+    "NET_HALF_LENGTH",
+    "NET_TOP",
+    "PADDLE_FRICTION",
+    "PADDLE_HALF_THICKNESS",
+    "PADDLE_RADIUS",
+    "PADDLE_RESTITUTION",
+    "SNAPSHOT_X",
+    "SPIN_INERTIA",
+    "TABLE_FRICTION",
+    "TABLE_HALF_LENGTH",
+    "TABLE_HALF_WIDTH",
+    "TABLE_HEIGHT",
+    "TABLE_RESTITUTION",
+]
+
+GRAVITY: Final = 9.81  # [m/s^2]
+
+TABLE_HALF_LENGTH: Final = 1.37  # [m]
+TABLE_HALF_WIDTH: Final = 0.7625  # [m]
+TABLE_HEIGHT: Final = 0.76  # [m]
+TABLE_RESTITUTION: Final = 0.905
+TABLE_FRICTION: Final = 0.2
+NET_TOP: Final = TABLE_HEIGHT + 0.1525  # [m]
+NET_HALF_LENGTH: Final = 0.915  # [m]
+
+BALL_RADIUS: Final = 0.02  # [m]
+BALL_MASS: Final = 0.0027  # [kg]
+SPIN_INERTIA: Final = 2 / 3  # moment of inertia over m r^2: a thin shell
+DRAG: Final = 0.5 * 1.2 * 0.47 * 3.141592653589793 * BALL_RADIUS**2 / BALL_MASS  # air density, CD 0.47; [1/m]
+
+PADDLE_RADIUS: Final = 0.08  # [m]
+PADDLE_HALF_THICKNESS: Final = 0.006  # [m]
+PADDLE_RESTITUTION: Final = 0.8
+PADDLE_FRICTION: Final = 0.5
+FACE_OFFSET: Final = (
+    PADDLE_HALF_THICKNESS + BALL_RADIUS
+)  # centre of a touching ball from the paddle's centre, along the normal [m]
+
+SNAPSHOT_X: Final = 0.5  # where the incoming ball is measured [m]
+AIM: Final = (0.75, 0.0)  # where a return should land, x and y [m]

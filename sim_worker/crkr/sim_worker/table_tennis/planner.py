@@ -1,0 +1,136 @@
+"""An analytic planner for demonstrations and the oracle: where and how to meet a ball so that it lands on the aim."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Final, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from crkr.sim_worker.table_tennis.arm import SPEED_LIMITS, Arm, Unreachable
+from crkr.sim_worker.table_tennis.ball import Ball, bounce, flight, fly_to_x
+from crkr.sim_worker.table_tennis.constants import (
+    AIM,
+    BALL_RADIUS,
+    FACE_OFFSET,
+    GRAVITY,
+    NET_TOP,
+    PADDLE_FRICTION,
+    PADDLE_RESTITUTION,
+    TABLE_HEIGHT,
+)
+from crkr.sim_worker.table_tennis.simulation import BallAlone
+
+__all__ = ["HOME", "Planner"]
+
+Floats = NDArray[np.float64]
+
+# The hand hangs from a high wrist: fast along x over the whole hitting window and clear of the table. Found by search
+# over the arm's postures at the window's centre; `HOME` is the same posture with the paddle 12 cm further back.
+POSTURE: Final = np.array([-0.2712, 0.2699, 1.3756, 2.9483, 1.5493, 1.3016])
+HOME: Final = np.array([-0.3128, 0.0616, 1.6542, 2.8652, 1.5874, 1.2603])
+
+# (hitting plane x [m], flight time of the return [s]), best first.
+CANDIDATES: Final = (
+    (-1.45, 0.60),
+    (-1.45, 0.68),
+    (-1.40, 0.62),
+    (-1.52, 0.62),
+    (-1.45, 0.54),
+    (-1.60, 0.64),
+    (-1.40, 0.70),
+    (-1.52, 0.70),
+    (-1.68, 0.66),
+    (-1.32, 0.64),
+)
+LONGEST: Final = 1.0  # of the prediction [s]
+LOWEST: Final = TABLE_HEIGHT + 0.06  # a ball below this cannot be hit [m]
+NET_MARGIN: Final = 0.03  # [m]
+
+
+@final
+class Planner:
+    """Plans returns: the incoming ball as the contact simulation has it, a rigid impact at the paddle."""
+
+    def __init__(self, arm: Arm) -> None:
+        self._arm = arm
+        self._alone = BallAlone()
+
+    def goals(self, ball: Floats, aim: tuple[float, float] = AIM) -> Iterator[Floats]:
+        """Goals (13,) that return a ball, best first, at most ten; whether a swing can get there is not checked.
+
+        Args:
+            ball: Position [m] and velocity [m/s] at the snapshot.
+            aim: Where the return should land [m].
+        """
+        path = self._alone.path(ball, LONGEST)
+        for plane, duration in CANDIDATES:
+            row = int(np.argmax(path[:, 0] <= plane))
+            if row == 0 or path[row, 2] < LOWEST:
+                continue
+            part = (plane - path[row - 1, 0]) / (path[row, 0] - path[row - 1, 0])
+            meeting = path[row - 1] + part * (path[row] - path[row - 1])
+            hit_time = (row - 1 + part) * self._alone.timestep
+            try:
+                yield self._swing(meeting, hit_time, duration, aim)
+            except Unreachable:
+                continue
+
+    def _swing(self, meeting: Floats, hit_time: float, duration: float, aim: tuple[float, float]) -> Floats:
+        """The goal (13,) that sends a ball with position, velocity and spin `meeting` (9,) to `aim` in `duration`."""
+        leaving = _launch(meeting[:3], np.array([*aim, TABLE_HEIGHT + BALL_RADIUS]), duration)
+        normal, speed = _face(meeting[3:6], meeting[6:], leaving)
+        joints = self._arm.reach(meeting[:3] - FACE_OFFSET * normal, normal, POSTURE)
+        speeds = self._arm.speeds_for(joints, speed * normal)
+        if (np.abs(speeds) > SPEED_LIMITS).any():
+            raise Unreachable("the paddle cannot be that fast there")
+        return np.concatenate([joints, speeds, [hit_time]])
+
+
+def _launch(start: Floats, target: Floats, duration: float) -> Floats:
+    """Velocity (3,) that carries a ball from `start` to `target` (3,) in `duration`, over the net.
+
+    Raises:
+        Unreachable: That flight would touch the net.
+    """
+    velocity = (target - start) / duration + [0.0, 0.0, 0.5 * GRAVITY * duration]
+    for _ in range(12):
+        miss = target - np.array(flight(_ball(start, velocity), duration)[:3])
+        velocity = velocity + miss / duration
+        if np.abs(miss).max() < 1e-9:
+            break
+    crossing = fly_to_x(_ball(start, velocity), 0.0)
+    if crossing is None or crossing[1].z < NET_TOP + BALL_RADIUS + NET_MARGIN:
+        raise Unreachable("the return would touch the net")
+    return velocity
+
+
+def _face(incoming: Floats, spin: Floats, leaving: Floats) -> tuple[Floats, float]:
+    """Normal (3,) and speed along it [m/s] of a paddle that turns `incoming` (3,) with `spin` into `leaving` (3,).
+
+    Friction's share of the change depends on the normal; the fixed point settles in a few rounds.
+    """
+    friction, speed, normal = np.zeros(3), 0.0, np.zeros(3)
+    for _ in range(30):
+        change = leaving - incoming - friction
+        normal = change / np.linalg.norm(change)
+        approach = float(np.linalg.norm(change)) / (1 + PADDLE_RESTITUTION)
+        speed = approach + float(incoming @ normal)
+        after, _ = bounce(
+            incoming,
+            spin,
+            normal,
+            speed * normal,
+            restitution=PADDLE_RESTITUTION,
+            friction=PADDLE_FRICTION,
+            radius=BALL_RADIUS,
+        )
+        friction = after - incoming - (1 + PADDLE_RESTITUTION) * approach * normal
+        if np.abs(after - leaving).max() < 1e-9:
+            break
+    return normal, speed
+
+
+def _ball(position: Floats, velocity: Floats) -> Ball:
+    return Ball(*position.tolist(), *velocity.tolist())

@@ -1,0 +1,102 @@
+"""What the task maps and how it learns: the presets `tuned` and `paper`."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+from crkr.protocol import Invalid, TaskSpec
+from crkr.sim_worker.table_tennis.arm import SPEED_LIMITS
+from crkr.sim_worker.table_tennis.launchers import Launcher
+
+__all__ = ["NAME", "PRESETS", "task_spec"]
+
+NAME: Final = "table-tennis"
+PRESETS: Final = ("tuned", "paper")
+
+JOINTS: Final = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
+POSITION_LIMITS: Final = (6.2832, 6.2832, 3.1416, 6.2832, 6.2832, 6.2832)  # [rad], as in scene.xml
+HIT_TIMES: Final = (0.2, 1.0)  # [s] after the snapshot
+# About the spread of good goals over the nominal launcher.
+POSITION_SCALE: Final = 0.15  # [rad]
+SPEED_SCALE: Final = 0.4  # [rad/s]
+TIME_SCALE: Final = 0.03  # [s]
+
+STATE: Final = (
+    ("ball_x", "m"),
+    ("ball_y", "m"),
+    ("ball_z", "m"),
+    ("ball_vx", "m/s"),
+    ("ball_vy", "m/s"),
+    ("ball_vz", "m/s"),
+)
+BOX: Final = 2.5  # half the described state box, in standard deviations of the launcher's snapshots
+LENGTHSCALE: Final = 3.0  # in the same unit
+
+HIT_TOLERANCE: Final = 0.03  # [m]
+LANDING_TOLERANCE: Final = 0.3  # [m]
+
+LEARNING: Final[dict[str, dict[str, Any]]] = {
+    "tuned": {
+        "description": "Return a table tennis ball; the settings that learn best.",
+        "kernel": {"linear_weight": 2.0},
+        "exploration": {"type": "gaussian"},
+        "prior_mean": "demonstrations",
+    },
+    "paper": {
+        "description": "Return a table tennis ball; the settings of the paper.",
+        "exploration": {"type": "gaussian"},
+        "prior_mean": "zero",
+    },
+}
+
+
+def task_spec(launcher: Launcher, preset: str, name: str | None = None, seed: int = 0) -> TaskSpec:
+    """The specification for one launcher.
+
+    Args:
+        launcher: Its snapshots' spread sets the states' box and length-scales.
+        preset: "tuned" or "paper".
+        name: Task name, "table-tennis" if None.
+        seed: Of the exploration draws.
+
+    Raises:
+        Invalid: No such preset, or a bad name or seed.
+    """
+    if preset not in PRESETS:
+        raise Invalid(f"no preset {preset!r}; there are {', '.join(PRESETS)}")
+    state = [
+        {
+            "name": axis,
+            "unit": unit,
+            "low": mean - BOX * spread,
+            "high": mean + BOX * spread,
+            "lengthscale": LENGTHSCALE * spread,
+        }
+        for (axis, unit), mean, spread in zip(STATE, launcher.centre, launcher.spread, strict=True)
+    ]
+    positions = [
+        {"name": joint, "unit": "rad", "low": -limit, "high": limit, "scale": POSITION_SCALE}
+        for joint, limit in zip(JOINTS, POSITION_LIMITS, strict=True)
+    ]
+    speeds = [
+        {"name": f"{joint}_speed", "unit": "rad/s", "low": -limit, "high": limit, "scale": SPEED_SCALE}
+        for joint, limit in zip(JOINTS, SPEED_LIMITS.tolist(), strict=True)
+    ]
+    hit_time = {"name": "hit_time", "unit": "s", "low": HIT_TIMES[0], "high": HIT_TIMES[1], "scale": TIME_SCALE}
+    outcome = [
+        *({"name": f"hit_{axis}", "unit": "m", "tolerance": HIT_TOLERANCE, "group": "hit"} for axis in "xyz"),
+        *(
+            {"name": f"landing_{axis}", "unit": "m", "tolerance": LANDING_TOLERANCE, "group": "landing"}
+            for axis in "xy"
+        ),
+    ]
+    return TaskSpec.from_dict(
+        {
+            "name": name or NAME,
+            "seed": seed,
+            "state": state,
+            "goal": [*positions, *speeds, hit_time],
+            "outcome": outcome,
+            **LEARNING[preset],
+        }
+    )

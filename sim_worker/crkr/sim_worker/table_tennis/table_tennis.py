@@ -1,0 +1,186 @@
+"""The skill: returning table tennis balls with a six-joint arm."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator, Sequence
+from typing import Any, Final, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from crkr.protocol import Geom, Invalid, TaskSpec
+from crkr.sim_worker.skill import Demonstration, Outcome, SkillOptions
+from crkr.sim_worker.table_tennis.arm import ACCELERATION_LIMITS, SPEED_LIMITS, Arm
+from crkr.sim_worker.table_tennis.collision import CollisionCheck
+from crkr.sim_worker.table_tennis.contact import ContactEnvironment
+from crkr.sim_worker.table_tennis.launchers import LAUNCHERS, Launcher
+from crkr.sim_worker.table_tennis.planner import HOME, Planner
+from crkr.sim_worker.table_tennis.play import Environment
+from crkr.sim_worker.table_tennis.primitive import Infeasible, JointLimits, JointTrajectory, Primitive
+from crkr.sim_worker.table_tennis.simulation import Diverged, Simulation
+from crkr.sim_worker.table_tennis.spec import task_spec
+from crkr.sim_worker.table_tennis.spread import spread_out
+from crkr.sim_worker.table_tennis.tracing import trace
+from crkr.sim_worker.table_tennis.tracker import judge
+
+__all__ = ["ENVIRONMENTS", "TableTennis"]
+
+Floats = NDArray[np.float64]
+
+ENVIRONMENTS: Final = ("contact",)
+CRITERIA: Final = {"tuned": "strict", "paper": "paper"}  # the success that each preset learns from
+POOL: Final = 12  # balls drawn for each demonstration wanted
+CENTRAL: Final = 2.45  # demonstrations lie within this many standard deviations of the launcher's centre
+
+_log = logging.getLogger(__name__)
+
+
+@final
+class TableTennis:
+    """Table tennis against a launcher (satisfies `Skill`). One object serves one thread.
+
+    State (6,): ball position [m] and velocity [m/s] as it passes x = +0.5 m, in the table frame.
+    Goal (13,): joint positions [rad] and velocities [rad/s] at the hit, and the hit's time after the snapshot [s].
+
+    Args:
+        options: Environment "contact"; launcher "nominal", "medium" or "wide"; preset "tuned" or "paper".
+        traces: False leaves `Outcome.trace` empty, which saves half a millisecond a trial.
+
+    Raises:
+        Invalid: An option of another name.
+    """
+
+    def __init__(self, options: SkillOptions, *, traces: bool = True) -> None:
+        environment = _choice("environment", options.environment or "contact", ENVIRONMENTS)
+        self._launcher: Launcher = LAUNCHERS[_choice("launcher", options.launcher or "nominal", LAUNCHERS)]
+        preset = _choice("preset", options.preset or "tuned", CRITERIA)
+        self._criterion = CRITERIA[preset]
+        self._spec = task_spec(self._launcher, preset, options.name, options.seed)
+        self._low, self._high = self._spec.bounds
+        self._arm = Arm()
+        self._simulation = Simulation()
+        self._environment: Environment = _environment(environment, self._arm, self._simulation)
+        self._collision = CollisionCheck(self._arm)
+        self._primitive = Primitive(JointLimits(self._arm.lower, self._arm.upper, SPEED_LIMITS, ACCELERATION_LIMITS))
+        self._planner: Planner | None = None
+        self._traces = traces
+        self._ball: Floats | None = None
+        self.diverged = 0  # trials that the simulator broke down in
+
+    def spec(self) -> TaskSpec:
+        """The preset's task specification."""
+        return self._spec
+
+    def reset(self, rng: np.random.Generator) -> Floats:
+        """Launches a ball and measures it; launches that are no fair feed are redrawn."""
+        self._ball = self._launcher.draw(rng)
+        return self._ball.copy()
+
+    def execute(self, goal: Floats) -> Outcome:
+        """Swings at the ball of the last `reset`.
+
+        A goal that is refused gives the reason "invalid" (shape, NaN or bounds), "infeasible" (no swing within the
+        joint limits) or "collision" (within 1 cm of table or net); a simulation that breaks down gives "diverged".
+
+        Raises:
+            Invalid: There was no `reset` before.
+        """
+        if self._ball is None:
+            raise Invalid("execute needs a ball; call reset first")
+        return self.attempt(self._ball, goal)
+
+    def attempt(self, ball: Floats, goal: Floats) -> Outcome:
+        """As `execute`, for any ball (6,)."""
+        try:
+            goal = np.asarray(goal, dtype=np.float64)
+        except (TypeError, ValueError):
+            return _refused("invalid", "the goal is not numeric")
+        if goal.shape != self._low.shape or not ((goal >= self._low) & (goal <= self._high)).all():
+            return _refused("invalid", "the goal has another shape, is not finite or is out of bounds")
+        try:
+            swing = self._primitive.trajectory(HOME, goal[:6], goal[6:12], float(goal[12]))
+        except Infeasible as error:
+            return _refused("infeasible", error.message)
+        if (row := self._collision.first(_between(swing))) is not None:
+            return _refused("collision", f"the arm would touch the table or the net at sample {row} of the swing")
+        return self._executed(ball, swing, float(goal[12]))
+
+    def demonstrations(self, count: int, rng: np.random.Generator) -> Sequence[Demonstration]:
+        """Plans successful returns for balls spread over the central part of the launcher."""
+        found: list[Demonstration] = []
+        pool = [self._launcher.draw(rng) for _ in range(max(POOL * count, 1))]
+        scaled = (np.array(pool) - self._launcher.centre) / self._launcher.spread
+        for index in spread_out(scaled, CENTRAL):
+            if len(found) == count:
+                break
+            plan = self.plan(pool[index])
+            if plan is not None:
+                found.append(Demonstration(pool[index], *plan))
+        if len(found) < count:
+            raise Invalid(f"{self._spec.name}: {len(found)} of {count} demonstrations found; ask for fewer")
+        return found
+
+    def plan(self, ball: Floats) -> tuple[Floats, Outcome] | None:
+        """The planner's first goal (13,) that returns `ball` (6,) by the strict criterion, and its outcome."""
+        plans = list(self._plans(ball))
+        return plans[-1] if plans and plans[-1][1].info["outcomes"]["strict"] else None
+
+    def best_plan(self, ball: Floats) -> dict[str, bool]:
+        """Whether some plan for `ball` (6,) succeeds, by each criterion."""
+        tried = [outcome.info["outcomes"] for _, outcome in self._plans(ball)]
+        return {criterion: any(outcomes[criterion] for outcomes in tried) for criterion in CRITERIA.values()}
+
+    def _plans(self, ball: Floats) -> Iterator[tuple[Floats, Outcome]]:
+        """The planner's goals for `ball` with their outcomes, up to the first strict success."""
+        if self._planner is None:
+            self._planner = Planner(self._arm)
+        for goal in self._planner.goals(ball):
+            outcome = self.attempt(ball, goal)
+            yield goal, outcome
+            if outcome.info["outcomes"]["strict"]:
+                return
+
+    def scene(self) -> Sequence[Geom]:
+        """Table, net, floor, pedestal, arm, paddle and ball."""
+        return self._simulation.geoms()
+
+    def _executed(self, ball: Floats, swing: JointTrajectory, hit_time: float) -> Outcome:
+        try:
+            play = self._environment.play(ball, swing, hit_time)
+        except Diverged as error:
+            self.diverged += 1
+            _log.warning("trial dropped (%d so far): %s", self.diverged, error)
+            return _refused("diverged", str(error))
+        verdict = judge(play)
+        outcomes = {"paper": verdict.paper, "strict": verdict.strict}
+        return Outcome(
+            cost=verdict.cost,
+            success=outcomes[self._criterion],
+            executed=True,
+            outcome=verdict.outcome,
+            info={"reason": verdict.reason, "outcomes": outcomes},
+            trace=trace(self._simulation, swing, play, verdict) if self._traces else None,
+        )
+
+
+def _environment(name: str, arm: Arm, simulation: Simulation) -> Environment:
+    del name  # The only one yet.
+    return ContactEnvironment(arm, simulation)
+
+
+def _between(swing: JointTrajectory) -> Floats:
+    """Joint positions at the knots and half-way between them."""
+    times = np.linspace(0.0, swing.time[-1], 2 * len(swing.time) - 1)
+    return swing.sample(times)[0]
+
+
+def _refused(reason: str, detail: str) -> Outcome:
+    info: dict[str, Any] = {"reason": reason, "detail": detail, "outcomes": {"paper": False, "strict": False}}
+    return Outcome(cost=None, success=False, executed=False, outcome=None, info=info, trace=None)
+
+
+def _choice(what: str, value: str, known: Any) -> str:
+    if value not in known:
+        raise Invalid(f"table tennis has no {what} {value!r}; there are {', '.join(known)}")
+    return value

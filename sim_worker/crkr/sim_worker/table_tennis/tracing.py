@@ -1,0 +1,50 @@
+"""A trial for people to look at: body poses and the ball's path at about film rate."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from crkr.protocol import Trace
+from crkr.sim_worker.table_tennis.joint_trajectory import JointTrajectory
+from crkr.sim_worker.table_tennis.play import Play
+from crkr.sim_worker.table_tennis.simulation import Simulation
+from crkr.sim_worker.table_tennis.tracker import Verdict, rally
+
+__all__ = ["trace"]
+
+Floats = NDArray[np.float64]
+
+INTERVAL = 1 / 30  # [s]
+
+
+def trace(
+    simulation: Simulation, swing: JointTrajectory, play: Play, verdict: Verdict, interval: float = INTERVAL
+) -> Trace:
+    """Poses from the snapshot until the ball comes down, or until the swing was followed if it was not touched.
+
+    Up to `play.end` everything is as simulated; from then on the arm follows its swing and the ball flies freely.
+
+    Args:
+        simulation: Gives the bodies' poses.
+        swing: The executed swing.
+        play: What happened.
+        verdict: How it ended.
+        interval: Between two poses [s].
+    """
+    time = np.arange(0.0, play.end, interval)
+    joints, path = _at(time, play.time, play.joints), _at(time, play.time, play.path)
+    if verdict.landing is not None:
+        later, flight = rally(play.after, verdict.landing[0], interval)
+        time = np.concatenate([time, play.end + later])
+        joints = np.concatenate([joints, swing.sample(play.end + later)[0]])
+        path = np.concatenate([path, flight])
+    positions, quaternions = simulation.poses(joints, path)
+    return Trace(time, simulation.bodies, positions, quaternions, {"ball": path})
+
+
+def _at(time: Floats, known: Floats, values: Floats) -> Floats:
+    """`values` (n, k) linearly interpolated at `time` (m,)."""
+    after = np.clip(np.searchsorted(known, time, side="right"), 1, len(known) - 1)
+    part = (time - known[after - 1]) / (known[after] - known[after - 1])
+    return np.asarray(values[after - 1] + part[:, None] * (values[after] - values[after - 1]))

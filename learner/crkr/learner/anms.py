@@ -15,13 +15,14 @@ from __future__ import annotations
 from typing import Final, final
 
 import numpy as np
+from numpy.typing import NDArray
+
 from crkr.learner.anms_batch import Indices, radii_kdtree
 from crkr.learner.growable import Growable
 from crkr.learner.kernel import squared_distances
 from crkr.learner.reserve import Reserve
 from crkr.learner.selector import Radii, Standing
 from crkr.protocol import Array
-from numpy.typing import NDArray
 
 __all__ = ["Anms"]
 

@@ -12,10 +12,11 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from crkr.learner.kernel import squared_distances
-from crkr.protocol import Array
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
+
+from crkr.learner.kernel import squared_distances
+from crkr.protocol import Array
 
 __all__ = ["Indices", "radii", "radii_kdtree", "top"]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+
 from crkr.protocol import Array, Invalid
 
 __all__ = ["saturated_cost"]

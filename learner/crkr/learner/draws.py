@@ -12,6 +12,7 @@ from hashlib import shake_128
 from uuid import UUID
 
 import numpy as np
+
 from crkr.protocol import Array
 
 __all__ = ["draw_ids", "uniforms"]
@@ -22,7 +23,7 @@ def uniforms(seed: int, trial_ids: Sequence[UUID], size: int) -> Array:
     prefix = (seed % 2**64).to_bytes(8, "little")
     stream = b"".join(shake_128(prefix + trial_id.bytes).digest(8 * size) for trial_id in trial_ids)
     words = np.frombuffer(stream, dtype="<u8").reshape(len(trial_ids), size)
-    return ((words >> np.uint64(12)) + 0.5) * 2.0**-52
+    return ((words >> np.uint64(12)).astype(np.float64) + 0.5) * 2.0**-52
 
 
 def draw_ids(namespace: str, count: int) -> list[UUID]:

@@ -16,12 +16,13 @@ from dataclasses import dataclass
 from typing import Final, final
 
 import numpy as np
+from scipy.linalg import lapack
+from scipy.optimize import minimize
+
 from crkr.learner.kernel import squared_distances
 from crkr.learner.model import Model
 from crkr.learner.noise import noise_variances
 from crkr.protocol import Array, NoSamples
-from scipy.linalg import lapack
-from scipy.optimize import minimize
 
 __all__ = ["FitProblem", "FitResult", "fit", "log_evidence"]
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
+
 from crkr.learner.kernel import squared_distances
 from crkr.learner.model import Model
 from crkr.protocol import Explanation, Neighbour, NoSamples, SampleExplanation

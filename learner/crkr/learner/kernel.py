@@ -12,8 +12,9 @@ from dataclasses import dataclass
 from typing import Final, final
 
 import numpy as np
-from crkr.protocol import Array
 from scipy.spatial.distance import cdist
+
+from crkr.protocol import Array
 
 __all__ = ["Kernel", "squared_distances", "standardise"]
 

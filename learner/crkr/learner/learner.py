@@ -2,30 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
 from typing import Any, Final, final
 from uuid import UUID
 
 import numpy as np
+
 from crkr.learner.anms import Anms
 from crkr.learner.draws import draw_ids
 from crkr.learner.evidence import FitProblem, FitResult, fit
 from crkr.learner.explain import explain
 from crkr.learner.freeze import Freeze
 from crkr.learner.full import Full
-from crkr.learner.kernel import Kernel
+from crkr.learner.knowledge import Knowledge
 from crkr.learner.model import Model
-from crkr.learner.parameters import Parameters
 from crkr.learner.review import Review, review
-from crkr.learner.selection import RadiiCache, Selection
+from crkr.learner.selection import RadiiCache
 from crkr.learner.selector import SelectorFactory
-from crkr.learner.store import SampleStore
 from crkr.protocol import (
-    Array,
-    Conflict,
     Explanation,
-    Invalid,
     NoSamples,
     Prediction,
     Receipt,
@@ -36,7 +32,6 @@ from crkr.protocol import (
     id_from_wire,
     make_trials,
 )
-from crkr.protocol.checks import finite_array, number
 
 __all__ = ["SELECTORS", "Learner"]
 
@@ -49,8 +44,8 @@ _FEWEST_TO_FIT: Final = 30  # active samples, below which the evidence says litt
 class Learner:
     """Learns one task from trials; what it knows is a function of the events it was given, in their order.
 
-    `report`, `recost`, `remove`, `configure` and `refit` give each event the next log position. A program that keeps its
-    own log calls the `apply_...` methods with its positions instead; both give the same learner. A call that raises
+    `report`, `recost`, `remove`, `configure` and `refit` give each event the next log position. A program with a log of
+    its own calls the `apply_...` methods with its positions instead; both give the same learner. A call that raises
     changes nothing. Not for use by several threads at once; the models it makes are.
 
     Args:
@@ -73,47 +68,38 @@ class Learner:
                 f"selector {spec.selector!r} is not offered; these are: {', '.join(SELECTORS)}",
                 details={"field": "selector"},
             )
-        self._spec, self._version, self._asked = spec, 1, 0
-        self._store = SampleStore(len(spec.state), len(spec.goal))
-        self._selection = Selection(spec, self._store, selector or SELECTORS[spec.selector])
-        self._kernel = Kernel(spec.centres, spec.lengthscales, spec.kernel.signal_variance, spec.kernel.linear_weight)
-        self._prior = np.zeros(len(spec.goal))
-        self._parameters = Parameters.create(spec, self._kernel, self._prior)
-        self._since_fit = 0
-        self._deferred = False
-        self._names: dict[int, UUID] = {}
-        self._rows = self._selection.active
-        self._model = self._fitted(None)
+        self._told = Knowledge(spec, selector or SELECTORS[spec.selector])
+        self._asked = 0
 
     @property
     def spec(self) -> TaskSpec:
         """The specification in force: the one of creation with the changes since."""
-        return self._spec
+        return self._told.spec
 
     @property
     def version(self) -> int:
         """Log position of the last event applied."""
-        return self._version
+        return self._told.version
 
     @property
     def model(self) -> Model:
         """The present policy, an immutable snapshot that other threads may use."""
-        return self._model
+        return self._told.model
 
     @property
     def active_ids(self) -> list[UUID]:
         """Ids of the active samples, in the order of the log."""
-        return list(self._model.ids)
+        return list(self.model.ids)
 
     @property
     def counts(self) -> dict[str, int]:
         """How many trials of each kind are stored."""
-        return self._store.counts()
+        return self._told.store.counts()
 
     @property
     def eligible(self) -> int:
         """How many trials may be learned from."""
-        return int(np.count_nonzero(self._store.eligible(self._spec.learn_from)))
+        return len(self._told.eligible())
 
     def predict(
         self, states: object, explore: bool = False, trial_ids: Sequence[UUID | bytes] | UUID | bytes | None = None
@@ -125,8 +111,8 @@ class Learner:
         """
         if trial_ids is None:
             count = len(states) if np.ndim(states) == 2 else 1  # type: ignore[arg-type]  # checked by the model
-            trial_ids = draw_ids(f"crkr/{self._spec.name}/predict/{self._version}/{self._asked}", count)
-        answer = self._model.predict(states, explore, trial_ids)
+            trial_ids = draw_ids(f"crkr/{self.spec.name}/predict/{self.version}/{self._asked}", count)
+        answer = self.model.predict(states, explore, trial_ids)
         self._asked += 1
         return answer
 
@@ -153,9 +139,9 @@ class Learner:
         """
         if id is None and answer is None:
             count = len(state) if np.ndim(state) == 2 else 1  # type: ignore[arg-type]  # checked by make_trials
-            id = draw_ids(f"crkr/{self._spec.name}/report/{self._version}", count)  # noqa: A001
+            id = draw_ids(f"crkr/{self.spec.name}/report/{self.version}", count)  # noqa: A001
         trials = make_trials(
-            self._spec,
+            self.spec,
             answer,
             state=state,
             goal=goal,
@@ -169,20 +155,20 @@ class Learner:
             info=info,
         )
         found = self.review(trials)
-        seqs = found.seqs(self._version + 1)
+        seqs = found.seqs(self.version + 1)
         self.apply_trials([seqs[position] for position in found.fresh], [trials[position] for position in found.fresh])
         if self.refit_due:
             self.refit()
-        return Receipt(len(found.fresh), len(trials) - len(found.fresh), seqs, self._version)
+        return Receipt(len(found.fresh), len(trials) - len(found.fresh), seqs, self.version)
 
     def review(self, trials: Sequence[Trial]) -> Review:
         """Which of these trials are new, without storing them; raises `Conflict` as `report` would."""
-        return review(self._store, trials)
+        return review(self._told.store, trials)
 
     def seq_of(self, trial_id: UUID) -> int | None:
         """Log position a trial was stored under, or None."""
-        row = self._store.find(trial_id)
-        return None if row is None else int(self._store.seqs[row])
+        row = self._told.store.find(trial_id)
+        return None if row is None else int(self._told.store.seqs[row])
 
     def recost(self, ids: Sequence[UUID | bytes], costs: object) -> int:
         """Changes the costs of trials that turned out better or worse; returns how many changed.
@@ -190,7 +176,7 @@ class Learner:
         Raises:
             Invalid: An unknown or repeated id, a cost outside [0, 1].
         """
-        return self.apply_recost(self._version + 1, ids, costs)
+        return self.apply_recost(self.version + 1, ids, costs)
 
     def remove(self, ids: Sequence[UUID | bytes]) -> int:
         """Takes trials out of learning for good; returns how many were still in.
@@ -198,11 +184,11 @@ class Learner:
         Raises:
             Invalid: An unknown or repeated id.
         """
-        return self.apply_remove(self._version + 1, ids)
+        return self.apply_remove(self.version + 1, ids)
 
     def configure(self, changes: Mapping[str, Any]) -> TaskSpec:
         """Changes settings; returns the specification in force. Raises `Invalid` as `TaskSpec.with_changes` does."""
-        return self.apply_configure(self._version + 1, changes)
+        return self.apply_configure(self.version + 1, changes)
 
     def refit(self) -> FitResult:
         """Fits length-scales and signal variance to the active set, and takes them if the evidence improves.
@@ -212,14 +198,14 @@ class Learner:
         """
         result = fit(self.begin_fit())
         if result.accepted:
-            self.apply_fit(self._version + 1, result.lengthscales, result.signal_variance)
+            self.apply_fit(self.version + 1, result.lengthscales, result.signal_variance)
         return result
 
     @property
     def refit_due(self) -> bool:
         """Whether `refit_every` eligible trials came since the last fit began, and enough are active to fit to."""
-        every = self._spec.refit_every
-        return 0 < every <= self._since_fit and self._model.active >= _FEWEST_TO_FIT
+        every = self.spec.refit_every
+        return 0 < every <= self._told.since_fit and self.model.active >= _FEWEST_TO_FIT
 
     def begin_fit(self) -> FitProblem:
         """What `fit` needs, as plain data that another process can work on; counts as the fit that was due.
@@ -227,10 +213,10 @@ class Learner:
         Raises:
             NoSamples: No sample is active.
         """
-        if self._model.regression is None:
-            raise NoSamples(f"task {self._spec.name!r} has no active sample to fit to")
-        self._since_fit = 0
-        return FitProblem.of(self._model, self._selection_kernel())
+        if self.model.regression is None:
+            raise NoSamples(f"task {self.spec.name!r} has no active sample to fit to")
+        self._told.since_fit = 0
+        return FitProblem.of(self.model, self._told.created.lengthscales)
 
     def explain(self, state: object, sample_id: UUID | bytes | None = None) -> Explanation:
         """The samples behind the mean at a state (d,), and where one sample stands.
@@ -241,83 +227,37 @@ class Learner:
         """
         sample = None
         if sample_id is not None:
-            [row] = self._store.rows_of([id_from_wire(sample_id, "sample_id")])
-            suppressor, radius = self._selection.standing(row)
+            [row] = self._told.store.rows_of([id_from_wire(sample_id, "sample_id")])
+            suppressor, radius = self._told.selection.standing(row)
             sample = SampleExplanation(
-                id=self._store.ids(np.array([row]))[0],
-                active=bool((self._selection.active == row).any()),
-                eligible=bool(self._store.eligible(self._spec.learn_from)[row]),
-                suppressor=None if suppressor is None else self._store.ids(np.array([suppressor]))[0],
+                id=self._told.store.ids(np.array([row]))[0],
+                active=bool((self._told.selection.active == row).any()),
+                eligible=bool(self._told.store.eligible(np.array([row]), self.spec.learn_from)[0]),
+                suppressor=None if suppressor is None else self._told.store.ids(np.array([suppressor]))[0],
                 radius=radius,
             )
-        return explain(self._model, state, sample)
+        return explain(self.model, state, sample)
 
     def apply_trials(self, seqs: Sequence[int], trials: Sequence[Trial]) -> None:
         """Applies trials with their log positions, in one step with one new model.
 
         Raises:
             Invalid: Positions that do not ascend from the version on.
-            Conflict: An id that is stored already.
+            Conflict: An id that is stored already, or comes twice.
         """
-        if not trials:
-            return
-        self._check_seqs(seqs, len(trials))
-        known = [trial.id for trial in trials if self._store.find(trial.id) is not None]
-        if known or len({trial.id for trial in trials}) != len(trials):
-            raise Conflict(f"trials to apply must be new; known already or repeated: {known[:3]}")
-        rows = np.array([self._store.append(seq, trial) for seq, trial in zip(seqs, trials, strict=True)])
-        self._version = seqs[-1]
-        if self._deferred:
-            return
-        eligible = rows[self._store.eligible(self._spec.learn_from)[rows]]
-        self._since_fit += len(eligible)
-        self._selection.extend(eligible)
-        self._refresh(any(self._store.is_demonstration(row) for row in rows))
+        self._told.apply_trials(seqs, trials)
 
     def apply_recost(self, seq: int, ids: Sequence[UUID | bytes], costs: object) -> int:
         """Applies a change of costs at log position `seq`; see `recost`."""
-        rows = self._rows_of(ids)
-        checked = finite_array(costs, "costs", (len(rows),))
-        values = [number(cost, "cost", low=0.0, high=1.0) for cost in checked.tolist()]
-        self._check_seqs([seq], 1)
-        changed = [(row, cost) for row, cost in zip(rows, values, strict=True) if self._store.costs[row] != cost]
-        for row, cost in changed:
-            self._store.recost(row, cost)
-            if not (self._deferred or self._store.removed[row]):
-                self._selection.recost(row)
-        self._version = seq
-        self._refresh(any(row in self._names for row, _ in changed))
-        return len(changed)
+        return self._told.apply_recost(seq, ids, costs)
 
     def apply_remove(self, seq: int, ids: Sequence[UUID | bytes]) -> int:
         """Applies a removal at log position `seq`; see `remove`."""
-        rows = [row for row in self._rows_of(ids) if not self._store.removed[row]]
-        self._check_seqs([seq], 1)
-        for row in rows:
-            self._store.remove(row)
-            if not self._deferred:
-                self._selection.remove(row)
-        self._version = seq
-        self._refresh(any(self._store.is_demonstration(row) for row in rows))
-        return len(rows)
+        return self._told.apply_remove(seq, ids)
 
     def apply_configure(self, seq: int, changes: Mapping[str, Any]) -> TaskSpec:
         """Applies new settings at log position `seq`; see `configure`. Fitted numbers stay where none are given."""
-        spec = self._spec.with_changes(changes)
-        self._check_seqs([seq], 1)
-        old, self._spec, self._version = self._spec, spec, seq
-        if "kernel" in changes:
-            variance = (
-                spec.kernel.signal_variance if "signal_variance" in changes["kernel"] else self._kernel.signal_variance
-            )
-            self._kernel = Kernel(self._kernel.centre, self._kernel.lengthscales, variance, spec.kernel.linear_weight)
-        if not self._deferred:
-            if spec.budget != old.budget:
-                self._selection.set_budget(spec.budget)
-            if spec.learn_from != old.learn_from:
-                self._selection.rebuild(self._eligible_rows())
-        self._refresh(True)
-        return spec
+        return self._told.apply_configure(seq, changes)
 
     def apply_fit(self, seq: int, lengthscales: object, signal_variance: object) -> None:
         """Applies fitted hyper-parameters at log position `seq`; the selection's length-scales stay.
@@ -325,82 +265,17 @@ class Learner:
         Raises:
             Invalid: Numbers that are not positive, or not d of them.
         """
-        scales = finite_array(lengthscales, "lengthscales", (len(self._spec.state),))
-        variance = number(signal_variance, "signal_variance", above=0.0)
-        if (scales <= 0).any():
-            raise Invalid(f"lengthscales must be positive; got {scales.tolist()}")
-        self._check_seqs([seq], 1)
-        self._kernel = Kernel(self._kernel.centre, scales, variance, self._kernel.linear_weight)
-        self._version, self._since_fit = seq, 0
-        self._refresh(True)
+        self._told.apply_fit(seq, lengthscales, signal_variance)
 
-    @contextmanager
-    def bulk(self, cache: RadiiCache | None = None) -> Iterator[None]:
-        """Inside, `apply_...` calls only take note; the active set and the model are made once, at the end.
+    def bulk(self, cache: RadiiCache | None = None) -> AbstractContextManager[None]:
+        """A block in which events are only taken note of; the active set and the model are made once, at its end.
 
         Args:
             cache: Radii at the log position where the block ends; without them they are searched for, in about
                 n log n. Ones of another position are ignored.
         """
-        self._deferred = True
-        try:
-            yield
-        finally:
-            self._deferred = False
-            fits = cache is not None and cache.version == self._version
-            self._selection.set_budget(self._spec.budget)
-            self._selection.rebuild(self._eligible_rows(), cache if fits else None)
-            self._refresh(True)
+        return self._told.bulk(cache)
 
     def radii(self) -> RadiiCache | None:
         """What makes the next `bulk` quick, where the selector has such a thing."""
-        return self._selection.cache(self._version)
-
-    def _selection_kernel(self) -> Array:
-        return self._spec.lengthscales
-
-    def _eligible_rows(self) -> np.ndarray[Any, np.dtype[np.int64]]:
-        return np.flatnonzero(self._store.eligible(self._spec.learn_from))
-
-    def _rows_of(self, ids: Sequence[UUID | bytes]) -> list[int]:
-        checked = [id_from_wire(value, "ids") for value in ids]
-        if len(set(checked)) != len(checked):
-            raise Invalid("ids must differ; one comes twice")
-        return self._store.rows_of(checked)
-
-    def _check_seqs(self, seqs: Sequence[int], count: int) -> None:
-        ascending = all(later > earlier for earlier, later in zip([self._version, *seqs], seqs, strict=False))
-        if len(seqs) != count or not ascending:
-            raise Invalid(f"seqs must be {count} ascending numbers above {self._version}; got {list(seqs)[:5]}")
-
-    def _refresh(self, changed: bool) -> None:
-        """Makes the model for the present version, anew only where samples or settings changed."""
-        if self._deferred:
-            return
-        if changed:
-            self._update_parameters()
-        if changed or self._selection.active is not self._rows:
-            self._rows = self._selection.active
-            self._model = self._fitted(self._model)
-        else:
-            self._model = self._model.at_version(self._version)
-
-    def _update_parameters(self) -> None:
-        rows = self._store.demonstrations() if self._spec.prior_mean == "demonstrations" else np.empty(0, np.int64)
-        prior = self._store.goals[rows].mean(axis=0) if len(rows) else np.zeros(len(self._spec.goal))
-        self._parameters = Parameters.create(self._spec, self._kernel, prior)
-
-    def _fitted(self, previous: Model | None) -> Model:
-        rows = self._rows
-        new = [row for row in rows.tolist() if row not in self._names]
-        names = {**self._names, **dict(zip(new, self._store.ids(np.array(new, dtype=np.int64)), strict=True))}
-        self._names = {row: names[row] for row in rows.tolist()}
-        return Model.create(
-            self._version,
-            self._parameters,
-            list(self._names.values()),
-            self._store.states[rows],
-            self._store.goals[rows],
-            self._store.costs[rows],
-            previous,
-        )
+        return self._told.selection.cache(self.version)

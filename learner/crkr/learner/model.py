@@ -8,6 +8,7 @@ from typing import Any, final
 from uuid import UUID
 
 import numpy as np
+
 from crkr.learner.draws import uniforms
 from crkr.learner.parameters import Parameters
 from crkr.learner.regression import Regression
@@ -81,8 +82,8 @@ class Model:
     ) -> Prediction:
         """Goals for one state or many  [Cardoso2017, alg. 1].
 
-        Means are prior + scale * mean, not clipped; sigmas are scale * explore_scale * sqrt(variance + exploration_floor).
-        Without `explore` the goals are the means, clipped to the bounds. With it they are independent draws from
+        Means are prior + scale * mean, not clipped. Sigmas are scale * explore_scale * sqrt(variance + floor). Without
+        `explore` the goals are the means, clipped to the bounds. With it they are independent draws from
         N(mean, sigma^2) truncated to the bounds (the paper's N(0, sigma^2) is a slip), a pure function of the model,
         the task's seed and the trial ids.
 
@@ -131,10 +132,10 @@ class Model:
     def _refuse_novel(self, novelty: Array) -> None:
         limit = self.parameters.novelty_limit
         if limit is not None and (novelty > limit).any():
-            worst = int(np.argmax(novelty))
+            index, worst = int(np.argmax(novelty)), float(np.max(novelty))
             raise NovelState(
-                f"state {worst} has novelty {float(np.max(novelty)):.3f}; task {self.parameters.task!r} refuses above {limit}",
-                details={"index": worst, "novelty": float(np.max(novelty)), "limit": limit},
+                f"state {index} has novelty {worst:.3f}; task {self.parameters.task!r} refuses above {limit}",
+                details={"index": index, "novelty": worst, "limit": limit},
             )
 
     def to_wire(self) -> dict[str, Any]:
@@ -155,10 +156,7 @@ class Model:
             given = {name: message[name] for name in ("states", "goals", "costs")}
         except (KeyError, TypeError, ValueError) as error:
             raise Invalid(f"a model must be as `model` returns it; {error!r}") from error
-        arrays = {
-            name: value if isinstance(value, np.ndarray) else array_from_wire(value, name)
-            for name, value in given.items()
-        }
+        arrays = {name: _array(value, name) for name, value in given.items()}
         m, d, p = len(ids), len(parameters.kernel.centre), len(parameters.scales)
         return cls.create(
             version,
@@ -180,3 +178,7 @@ def _checked_ids(given: Sequence[UUID | bytes] | UUID | bytes | None, count: int
     if len(ids) != count or len(set(ids)) != count:
         raise Invalid(f"trial_ids must be {count} different ids, one a state; got {len(ids)}")
     return ids
+
+
+def _array(value: object, name: str) -> Array:
+    return value if isinstance(value, np.ndarray) else array_from_wire(value, name)

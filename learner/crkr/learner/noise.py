@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping
 from typing import Final
 
 import numpy as np
+
 from crkr.protocol import Array
 
 __all__ = ["noise_variances"]

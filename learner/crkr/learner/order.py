@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import final
 
 import numpy as np
+
 from crkr.learner.anms_batch import Indices
 from crkr.learner.growable import Growable
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any, final
 
 import numpy as np
+
 from crkr.learner.kernel import Kernel
 from crkr.learner.noise import noise_variances
 from crkr.protocol import Array, Invalid, TaskSpec

@@ -16,9 +16,10 @@ from dataclasses import dataclass
 from typing import Final, final
 
 import numpy as np
+from scipy.linalg import blas, lapack
+
 from crkr.learner.kernel import Kernel
 from crkr.protocol import Array
-from scipy.linalg import blas, lapack
 
 __all__ = ["Regression"]
 
@@ -108,9 +109,7 @@ def _factor(K: Array, noise: Array) -> tuple[Array, float]:
             break
         floor = max(10.0 * floor, smallest_useful)
     if floor > asked:
-        _log.warning(
-            "kernel matrix of %d samples factored only with noise floor %.1e (asked: %.1e)", len(K), floor, asked
-        )
+        _log.warning("%d samples factored only with noise floor %.1e; %.1e was asked for", len(K), floor, asked)
     return L, floor
 
 

@@ -2,8 +2,8 @@
 
     r2  (n,)  squared radii; -1: removed        k  budget        tau  smallest radius chosen
 
-A reserve of about 2k samples holds every radius that is at least `_floor`. Choosing k of them is exact as long as k of them
-are left; a new reserve, O(n), is drawn only when they run out or become too many.
+A reserve of about 2k samples holds every radius that is at least `_floor`. Choosing k of them is exact as long as k of
+them are left; a new reserve, O(n), is drawn only when they run out or become too many.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from __future__ import annotations
 from typing import Final, final
 
 import numpy as np
+
 from crkr.learner.anms_batch import Indices, top
 from crkr.protocol import Array
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import final
 
 import numpy as np
+
 from crkr.learner.anms_batch import Indices
 from crkr.learner.growable import Growable
 from crkr.learner.kernel import standardise

@@ -7,11 +7,12 @@ from typing import Final, final
 from uuid import UUID
 
 import numpy as np
+from numpy.typing import NDArray
+
 from crkr.learner.anms_batch import Indices
 from crkr.learner.growable import Growable
 from crkr.learner.id_index import IdIndex, id_words
 from crkr.protocol import KINDS, Array, Conflict, Invalid, Trial
-from numpy.typing import NDArray
 
 __all__ = ["SampleStore"]
 
@@ -96,9 +97,8 @@ class SampleStore:
         rows = [self.find(trial_id) for trial_id in ids]
         unknown = [str(trial_id) for trial_id, row in zip(ids, rows, strict=True) if row is None]
         if unknown:
-            raise Invalid(
-                f"unknown ids: {', '.join(unknown[:5])}{' ...' * (len(unknown) > 5)}", details={"ids": unknown}
-            )
+            shown = ", ".join(unknown[:5])
+            raise Invalid(f"{len(unknown)} unknown ids: {shown}", details={"ids": unknown[:100]})
         return [row for row in rows if row is not None]
 
     def original(self, trial: Trial) -> int | None:
@@ -120,13 +120,14 @@ class SampleStore:
         stream = self._ids.rows[rows].astype("<u8").tobytes()
         return [UUID(bytes=stream[start : start + 16]) for start in range(0, len(stream), 16)]
 
-    def eligible(self, learn_from: str) -> NDArray[np.bool_]:
-        """(n,) which trials may be learned from: demonstrations, and successes or all executed trials."""
-        kinds = self._kinds.rows
+    def eligible(self, rows: Indices, learn_from: str) -> NDArray[np.bool_]:
+        """Which of these rows may be learned from: demonstrations, and successes or all executed trials."""
+        kinds = self._kinds.rows[rows]
         tried = kinds == _TRIAL
         if learn_from == "successes":
-            tried &= self._success.rows
-        return (tried | (kinds == _DEMONSTRATION)) & ~self._removed.rows
+            tried &= self._success.rows[rows]
+        eligible: NDArray[np.bool_] = (tried | (kinds == _DEMONSTRATION)) & ~self._removed.rows[rows]
+        return eligible
 
     def demonstrations(self) -> Indices:
         """Rows of the demonstrations that are not removed."""

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from crkr.protocol import Array
 from scipy.special import log_ndtr, ndtri_exp
+
+from crkr.protocol import Array
 
 __all__ = ["truncated_normal"]
 

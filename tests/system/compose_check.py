@@ -1,6 +1,6 @@
 """Run compose.yaml for real: two workers, each in a container, learn through the server in its own.
 
-Not collected by pytest: it needs a container engine. `make compose-test` runs it. It builds the images, starts everything
+Not collected by pytest: it needs a container engine. `make compose-test` runs it. It builds the images, starts all
 under a project name of its own (so that nobody's data is touched), reads the task's log over plain Zenoh through the
 published port, restarts the server to see that its volume keeps the log, and removes what it started.
 """

@@ -1,0 +1,88 @@
+"""Changes of a task that an administrator asks for, read and checked before anything is stored."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, final
+from uuid import UUID
+
+from crkr.protocol import MAX_TRIALS, Invalid, Unsupported, id_from_wire
+from crkr.protocol.checks import finite_array, number, required, text
+from crkr.protocol.codec import array_from_wire
+from crkr.server.tasks import ServedTask
+
+__all__ = ["Change", "read_change"]
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Change:
+    """An event to store.
+
+    Attributes:
+        kind: Of the event.
+        body: Of the event.
+        answer: From the task and what the learner returned to the fields of the reply.
+        ids: Trials it names, which must exist.
+    """
+
+    kind: str
+    body: Mapping[str, Any]
+    answer: Callable[[ServedTask, Any], dict[str, Any]]
+    ids: Sequence[UUID] = ()
+
+
+def read_change(verb: str, message: Mapping[str, Any], task: ServedTask) -> Change:
+    """The change that a request means; raises `Invalid`, or `Unsupported` for a verb that is none."""
+    read = _READERS.get(verb)
+    if read is None:
+        raise Unsupported(f"admin verb {verb!r} is not offered; these are: {', '.join(sorted(_READERS))}")
+    return read(message, task)
+
+
+def _recost(message: Mapping[str, Any], _task: ServedTask) -> Change:
+    ids = _ids(message)
+    costs = finite_array(array_from_wire(required(message, "costs"), "costs"), "costs", (len(ids),))
+    values = [number(cost, "costs", low=0.0, high=1.0) for cost in costs.tolist()]
+    body = {"ids": ids, "costs": values, "reason": _reason(message)}
+    return Change("recost", body, lambda _, changed: {"changed": int(changed)}, ids)
+
+
+def _remove(message: Mapping[str, Any], _task: ServedTask) -> Change:
+    ids = _ids(message)
+    return Change("remove", {"ids": ids, "reason": _reason(message)}, lambda _, removed: {"removed": int(removed)}, ids)
+
+
+def _configure(message: Mapping[str, Any], task: ServedTask) -> Change:
+    changes = required(message, "changes")
+    if not isinstance(changes, Mapping) or not changes:
+        raise Invalid(f"changes must be a map with at least one field; got {type(changes).__name__}")
+    task.spec.with_changes(changes)
+    return Change("configure", {"changes": changes}, lambda changed, _: {"spec": changed.spec.to_dict()})
+
+
+def _archive(_message: Mapping[str, Any], _task: ServedTask) -> Change:
+    return Change("archive", {}, lambda _task, _: {"archived": True})
+
+
+def _ids(message: Mapping[str, Any]) -> list[UUID]:
+    given = required(message, "ids")
+    if not isinstance(given, list) or not 1 <= len(given) <= MAX_TRIALS:
+        raise Invalid(f"ids must be a list of 1 to {MAX_TRIALS} ids")
+    ids = [id_from_wire(one, "ids") for one in given]
+    if len(set(ids)) != len(ids):
+        raise Invalid("ids must differ; one comes twice")
+    return ids
+
+
+def _reason(message: Mapping[str, Any]) -> str:
+    return text(message.get("reason", ""), "reason")
+
+
+_READERS: Final[Mapping[str, Callable[[Mapping[str, Any], ServedTask], Change]]] = {
+    "recost": _recost,
+    "remove": _remove,
+    "configure": _configure,
+    "archive": _archive,
+}

@@ -1,0 +1,54 @@
+"""`crkr server`: runs the service until it is told to stop."""
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+import sys
+import threading
+from importlib.metadata import version
+from pathlib import Path
+from typing import Annotated, Final
+
+import typer
+
+__all__ = ["server"]
+
+logger = logging.getLogger(__name__)
+
+_EXIT_PATIENCE_S: Final = 1.9  # then the process leaves as it is: everything acknowledged is committed anyway
+
+
+def server(
+    listen: Annotated[
+        str | None, typer.Option(help="Zenoh endpoint, tcp/127.0.0.1:7447 unless a configuration file says otherwise.")
+    ] = None,
+    data: Annotated[Path, typer.Option(help="Data directory, made where there is none.")] = Path("crkr-data"),
+    zenoh_config: Annotated[Path | None, typer.Option(help="Zenoh configuration file (JSON5).")] = None,
+    log_level: Annotated[str, typer.Option(envvar="CRKR_LOG_LEVEL", help="debug, info, warning or error.")] = "info",
+) -> None:
+    """Run the policy service: `crkr server --listen tcp/127.0.0.1:7447 --data crkr-data`."""
+    from crkr.server.server import DEFAULT_LISTEN, Server, ServerSettings
+
+    _log_to_stderr(log_level)
+    stop = threading.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: stop.set())
+    with Server(ServerSettings(data, listen, zenoh_config)) as running:
+        where = listen or (DEFAULT_LISTEN if zenoh_config is None else f"the endpoints of {zenoh_config}")
+        tasks = len(running.tasks.all())
+        sys.stderr.write(f"crkr server {version('crkr')} listening on {where}, data in {data}, {tasks} tasks\n")
+        sys.stderr.flush()
+        stop.wait()
+        watchdog = threading.Timer(_EXIT_PATIENCE_S, os._exit, (0,))
+        watchdog.daemon = True
+        watchdog.start()
+    watchdog.cancel()
+
+
+def _log_to_stderr(level: str) -> None:
+    number = logging.getLevelName(level.upper())
+    if not isinstance(number, int):
+        raise typer.BadParameter(f"{level!r} is none of debug, info, warning, error", param_hint="--log-level")
+    logging.basicConfig(level=number, format="%(asctime)s %(levelname)s %(name)s: %(message)s", stream=sys.stderr)

@@ -1,0 +1,123 @@
+"""Takes queries off Zenoh as they come: answers predictions itself, queues all else, refuses what is too much.
+
+Zenoh's receiving threads only ever put a query into a deep channel. One thread here drains it, so no client can make
+the server deaf to the others. Small predictions are answered on this very thread: handing them over would cost as much.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections import deque
+from collections.abc import Callable, Mapping
+from typing import Final, final
+
+import zenoh
+
+from crkr.protocol import CrkrError, Internal, Unsupported
+from crkr.server.lane import Lane, busy, shutting_down
+from crkr.server.latency import Latencies
+from crkr.server.request import Request, refuse
+
+__all__ = ["Intake"]
+
+logger = logging.getLogger(__name__)
+
+_CHANNEL: Final = 65536  # queries, between Zenoh and the intake thread
+_ROUND: Final = 1024  # queries taken off before predictions are answered again
+_BATCH: Final = 64  # predictions answered together
+_MOST_PREDICTS: Final = 1024  # may wait; more are refused
+_SMALL: Final = 4096  # bytes; a larger predict has many states and goes to a lane of its own
+
+
+@final
+class Intake:
+    """One queryable and the thread that drains it.
+
+    Args:
+        lanes: verb -> where its requests go.
+        predict: Answers small predict requests on the intake thread; None: there are none under this key.
+    """
+
+    def __init__(
+        self,
+        session: zenoh.Session,
+        key: str,
+        lanes: Mapping[str, Lane],
+        latencies: Latencies,
+        predict: Callable[[list[Request]], None] | None = None,
+    ) -> None:
+        self._lanes, self._latencies, self._predict = lanes, latencies, predict
+        self._waiting: deque[Request] = deque()
+        self._stopping = False
+        self._queries = session.declare_queryable(key, zenoh.handlers.FifoChannel(_CHANNEL), complete=True)
+        self._thread = threading.Thread(target=self._run, name=f"intake {key}", daemon=True)
+
+    def start(self) -> None:
+        """Begins to take queries."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """From now on every query is answered with SHUTTING_DOWN; the thread ends with the session."""
+        self._stopping = True
+
+    def join(self, patience_s: float) -> None:
+        """Waits for the thread's end, after the session was closed."""
+        if self._thread.is_alive():
+            self._thread.join(patience_s)
+
+    def _run(self) -> None:
+        try:
+            while True:
+                if not self._waiting:
+                    self._route(self._queries.recv())
+                self._drain()
+                self._answer()
+        except zenoh.ZError:  # the session is closed
+            for request in self._waiting:
+                request.fail(shutting_down())
+
+    def _drain(self) -> None:
+        for _ in range(_ROUND):
+            query = self._queries.try_recv()
+            if query is None:
+                return
+            self._route(query)
+
+    def _answer(self) -> None:
+        if not self._waiting or self._predict is None:
+            return
+        batch = [self._waiting.popleft() for _ in range(min(_BATCH, len(self._waiting)))]
+        try:
+            self._predict(batch)
+        except Exception as error:
+            for request in batch:
+                request.fail_unexpectedly(error)
+
+    def _route(self, query: zenoh.Query) -> None:
+        """Whatever the query is, it is answered or queued, and this thread lives on."""
+        try:
+            request = Request(query, self._latencies)
+            if self._stopping:
+                request.fail(shutting_down())
+            elif request.verb == "predict" and self._predict is not None and request.size <= _SMALL:
+                self._wait(request)
+            else:
+                self._lane(request).offer(request)
+        except CrkrError as error:
+            refuse(query, error)
+        except Exception:
+            logger.exception("a query on %s could not be taken", query.key_expr)
+            refuse(query, Internal("the query could not be taken by a defect of the server; see its log"))
+
+    def _wait(self, request: Request) -> None:
+        if len(self._waiting) >= _MOST_PREDICTS:
+            request.fail(busy(request.verb, _MOST_PREDICTS))
+        else:
+            self._waiting.append(request)
+
+    def _lane(self, request: Request) -> Lane:
+        lane = self._lanes.get(request.verb)
+        if lane is None:
+            raise Unsupported(f"verb {request.verb!r} is not offered here; these are: {', '.join(sorted(self._lanes))}")
+        return lane

@@ -1,0 +1,103 @@
+"""A bounded queue a verb and one thread that works it off: one lane's load never waits in another's queue."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections import Counter, deque
+from collections.abc import Callable, Mapping
+from typing import Any, Final, final
+
+from crkr.protocol import Busy, ShuttingDown
+from crkr.server.request import Request
+
+__all__ = ["Lane", "shutting_down"]
+
+logger = logging.getLogger(__name__)
+
+_RETRY_MS: Final = 50
+
+
+def shutting_down() -> ShuttingDown:
+    """What is answered between the order to stop and the end."""
+    return ShuttingDown("the server is shutting down; ask its successor", retry_ms=200)
+
+
+@final
+class Lane:
+    """Works off requests in the order they came, several at once where the work can use that.
+
+    Args:
+        name: Of the thread.
+        limits: verb -> how many may wait; one more is refused with `Busy` at once.
+        work: Answers a batch; what it leaves unanswered by raising is answered by the lane.
+        most: Largest batch. Batches are what is waiting; nothing waits for a batch to fill.
+    """
+
+    def __init__(
+        self, name: str, limits: Mapping[str, int], work: Callable[[list[Request]], None], most: int = 1
+    ) -> None:
+        self._limits, self._work, self._most = dict(limits), work, most
+        self._queue: deque[Request] = deque()
+        self._waiting: Counter[str] = Counter()
+        self._changed = threading.Condition()
+        self._closing = False
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+
+    def start(self) -> None:
+        """Begins to work."""
+        self._thread.start()
+
+    def offer(self, request: Request) -> None:
+        """Queues a request, or refuses it at once."""
+        limit = self._limits[request.verb]
+        with self._changed:
+            full = self._waiting[request.verb] >= limit
+            if not full and not self._closing:
+                self._waiting[request.verb] += 1
+                self._queue.append(request)
+                self._changed.notify()
+                return
+        request.fail(busy(request.verb, limit) if full else shutting_down())
+
+    def depths(self) -> dict[str, Any]:
+        """Verb -> how many wait and how many may."""
+        return {verb: {"waiting": self._waiting[verb], "limit": limit} for verb, limit in self._limits.items()}
+
+    def close(self, patience_s: float) -> None:
+        """Takes nothing more, works off the rest for `patience_s`, then refuses what is left."""
+        with self._changed:
+            self._closing = True
+            self._changed.notify_all()
+        if self._thread.is_alive():
+            self._thread.join(patience_s)
+        with self._changed:
+            left = list(self._queue)
+            self._queue.clear()
+        for request in left:
+            request.fail(shutting_down())
+
+    def _run(self) -> None:
+        while batch := self._take():
+            try:
+                self._work(batch)
+            except Exception as error:  # whatever happens, every client gets an answer and the lane goes on
+                for request in batch:
+                    request.fail_unexpectedly(error)
+            for request in batch:
+                if not request.held and not request.answered:
+                    request.fail_unexpectedly(RuntimeError("left without an answer"))
+
+    def _take(self) -> list[Request]:
+        with self._changed:
+            while not self._queue and not self._closing:
+                self._changed.wait()
+            batch = [self._queue.popleft() for _ in range(min(self._most, len(self._queue)))]
+            for request in batch:
+                self._waiting[request.verb] -= 1
+        return batch
+
+
+def busy(verb: str, limit: int) -> Busy:
+    """What is answered when a queue is full."""
+    return Busy(f"{limit} requests of {verb!r} are waiting already; ask again later", retry_ms=_RETRY_MS)

@@ -1,0 +1,145 @@
+"""The learning thread: applies what was committed, in the log's order, and swaps in the new model."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, final
+
+from crkr.learner import Model
+from crkr.protocol import Internal
+from crkr.server.applying import apply_entries
+from crkr.server.log import Event, LoggedTrial
+from crkr.server.tasks import ServedTask
+
+__all__ = ["Learning", "Notice"]
+
+logger = logging.getLogger(__name__)
+
+Notice = Callable[[ServedTask, Model, Model], None]
+
+_MOST_TRIALS: Final = 64  # a group: one new model for all of them, and the next event is not far
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class _Step:
+    """Entries of one task, then what to do once its model includes them."""
+
+    task: ServedTask
+    entries: Sequence[LoggedTrial] | Event
+    done: Callable[[Any, Exception | None], None] | None
+
+
+@final
+class Learning:
+    """Owns every learner once the server runs.
+
+    Args:
+        notice: Told of each new model: task, the one before, the new one.
+    """
+
+    def __init__(self, notice: Notice) -> None:
+        self._notice = notice
+        self._steps: deque[_Step] = deque()
+        self._changed = threading.Condition()
+        self._closing = False
+        self._backlog = 0
+        self._thread = threading.Thread(target=self._run, name="learning", daemon=True)
+
+    def start(self) -> None:
+        """Begins to learn."""
+        self._thread.start()
+
+    @property
+    def backlog(self) -> int:
+        """Trials that are committed and wait to be learned from."""
+        return self._backlog
+
+    def submit(
+        self,
+        task: ServedTask,
+        entries: Sequence[LoggedTrial] | Event = (),
+        done: Callable[[Any, Exception | None], None] | None = None,
+    ) -> None:
+        """Queues entries in the log's order.
+
+        Args:
+            task: Whose they are.
+            entries: Trials, none of them too, or one event.
+            done: Called on the learning thread when the model includes them, with what the learner returned and what it
+                raised.
+        """
+        with self._changed:
+            self._steps.append(_Step(task, entries, done))
+            self._backlog += _size(entries)
+            self._changed.notify()
+
+    def close(self, patience_s: float) -> None:
+        """Stops after the step at hand; what is left is in the log and will be replayed."""
+        with self._changed:
+            self._closing = True
+            self._changed.notify()
+        if self._thread.is_alive():
+            self._thread.join(patience_s)
+
+    def _run(self) -> None:
+        while group := self._take():
+            self._apply(group)
+
+    def _take(self) -> list[_Step]:
+        """The next step, with the trials of the same task that follow it at once."""
+        with self._changed:
+            while not self._steps and not self._closing:
+                self._changed.wait()
+            if self._closing:
+                return []
+            group = [self._steps.popleft()]
+            count = _size(group[0].entries)
+            while self._steps and _joins(group[-1], self._steps[0]) and count < _MOST_TRIALS:
+                group.append(self._steps.popleft())
+                count += _size(group[-1].entries)
+            self._backlog -= count
+            return group
+
+    def _apply(self, group: list[_Step]) -> None:
+        task, before = group[0].task, group[0].task.model
+        result, failure = None, None
+        try:
+            result = _learn(task, group)
+        except Exception as error:
+            if not task.fault:
+                logger.exception("task %r stops learning after log position %s", task.name, before.version)
+            task.fault = task.fault or f"{type(error).__name__}: {error}"
+            failure = Internal(f"task {task.name!r} stores trials but learns no more until a restart: {task.fault}")
+        for step in group:
+            if step.done is not None:
+                step.done(result, failure)
+        if task.model is not before:
+            self._notice(task, before, task.model)
+
+
+def _learn(task: ServedTask, group: list[_Step]) -> Any:
+    """Applies one step, or the trials of several; a learner that failed once is left alone, lest it skip an entry."""
+    entries = group[0].entries
+    if not isinstance(entries, Event):
+        entries = [entry for step in group if not isinstance(step.entries, Event) for entry in step.entries]
+        if not entries:
+            return None
+    if task.fault:
+        raise Internal(task.fault)
+    result = apply_entries(task.learner, entries)
+    task.publish()
+    return result
+
+
+def _size(entries: Sequence[LoggedTrial] | Event) -> int:
+    return 0 if isinstance(entries, Event) else len(entries)
+
+
+def _joins(step: _Step, following: _Step) -> bool:
+    events = isinstance(step.entries, Event) or isinstance(following.entries, Event)
+    return step.task is following.task and not events

@@ -1,0 +1,9 @@
+"""The task log: every event of every task, stored before it is acknowledged; all else follows from it."""
+
+from __future__ import annotations
+
+from crkr.server.log.entries import EVENT_KINDS, Event, LoggedTrial, PendingReport, Stored
+from crkr.server.log.sqlite_log import SqliteLog
+from crkr.server.log.task_log import TaskLog
+
+__all__ = ["EVENT_KINDS", "Event", "LoggedTrial", "PendingReport", "SqliteLog", "Stored", "TaskLog"]

@@ -1,0 +1,71 @@
+"""What the log holds: trials and the other events of a task, numbered together from 1."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final, final
+
+from crkr.protocol import Trial
+
+__all__ = ["EVENT_KINDS", "Event", "LoggedTrial", "PendingReport", "Stored"]
+
+EVENT_KINDS: Final = ("create", "recost", "remove", "configure", "fit", "archive")
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class LoggedTrial:
+    """A trial as it was first reported.
+
+    Attributes:
+        seq: Log position in its task.
+        time: When it was committed [unix s].
+        trial: The trial with its original cost; a later `recost` is an event of its own.
+    """
+
+    seq: int
+    time: float
+    trial: Trial
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Event:
+    """Anything but a trial.
+
+    Attributes:
+        seq: Log position in its task.
+        time: When it was committed [unix s].
+        kind: One of `EVENT_KINDS`.
+        body: Its numbers as plain data: the specification of a create, ids and costs of a recost, ids of a remove,
+            changes of a configure, the resulting numbers of a fit.
+    """
+
+    seq: int
+    time: float
+    kind: str
+    body: Mapping[str, Any]
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class PendingReport:
+    """Trials to store, all or none."""
+
+    task: str
+    trials: tuple[Trial, ...]
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Stored:
+    """What became of a report that was stored.
+
+    Attributes:
+        seqs: Log positions in the order of the report, a duplicate's original one.
+        fresh: The trials that were new, in log order.
+    """
+
+    seqs: tuple[int, ...]
+    fresh: tuple[LoggedTrial, ...]

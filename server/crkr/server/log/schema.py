@@ -1,0 +1,106 @@
+"""Tables of the log's database, and opening one with every doubt cleared first."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Final
+
+from crkr.protocol import StorageError
+
+__all__ = ["FILE_NAME", "SCHEMA_VERSION", "connect", "open_database", "storage_errors"]
+
+FILE_NAME: Final = "crkr.sqlite3"
+SCHEMA_VERSION: Final = 1
+APPLICATION_ID: Final = 0x63726B72  # "crkr"; `file` and SQLite tools show it
+BUSY_TIMEOUT_S: Final = 5.0
+
+# A trial's row keeps what was reported; `present_cost` and `removed` follow from later events and spare readers the
+# replay. Clustered by (task, seq), so that a replay is one sequential pass.
+TABLES: Final = """
+CREATE TABLE task (id INTEGER PRIMARY KEY, name TEXT NOT NULL UNIQUE);
+CREATE TABLE event (
+    task INTEGER NOT NULL, seq INTEGER NOT NULL, time REAL NOT NULL, kind TEXT NOT NULL, body BLOB NOT NULL,
+    digest BLOB NOT NULL, PRIMARY KEY (task, seq)) WITHOUT ROWID;
+CREATE TABLE trial (
+    task INTEGER NOT NULL, seq INTEGER NOT NULL, id BLOB NOT NULL, time REAL NOT NULL, kind INTEGER NOT NULL,
+    success INTEGER NOT NULL, cost REAL, state BLOB NOT NULL, goal BLOB NOT NULL, outcome BLOB, worker TEXT,
+    model_version INTEGER, info BLOB, digest BLOB NOT NULL, present_cost REAL, removed INTEGER NOT NULL DEFAULT 0,
+    PRIMARY KEY (task, seq)) WITHOUT ROWID;
+CREATE UNIQUE INDEX trial_id ON trial (task, id);
+"""
+
+
+@contextmanager
+def storage_errors(doing: str) -> Iterator[None]:
+    """Turns what SQLite raises into `StorageError`, naming what was being done."""
+    try:
+        yield
+    except sqlite3.Error as error:
+        name = getattr(error, "sqlite_errorname", None)
+        code = f" ({name})" if name else ""
+        raise StorageError(f"cannot {doing}: {error}{code}") from error
+
+
+def connect(path: Path, *, read_only: bool = False) -> sqlite3.Connection:
+    """A connection with the log's settings; transactions are begun by hand."""
+    mode = "ro" if read_only else "rwc"
+    connection = sqlite3.connect(
+        f"{path.absolute().as_uri()}?mode={mode}",
+        uri=True,
+        timeout=BUSY_TIMEOUT_S,
+        isolation_level=None,
+        check_same_thread=False,
+    )
+    connection.execute("PRAGMA cache_size = -65536")  # 64 MiB keeps the id index of a million trials in memory
+    return connection
+
+
+def open_database(path: Path) -> sqlite3.Connection:
+    """Opens the log for writing, creating it where there is none.
+
+    Raises:
+        StorageError: It is damaged, of a newer version, no log at all, or cannot be written.
+    """
+    with storage_errors(f"open the task log {path}"):
+        connection = connect(path)
+        try:
+            _prepare(connection, path)
+        except BaseException:
+            connection.close()
+            raise
+        return connection
+
+
+def _prepare(connection: sqlite3.Connection, path: Path) -> None:
+    version = int(connection.execute("PRAGMA user_version").fetchone()[0])
+    application = int(connection.execute("PRAGMA application_id").fetchone()[0])
+    tables = int(connection.execute("SELECT count(*) FROM sqlite_master").fetchone()[0])
+    if tables and application != APPLICATION_ID:
+        raise StorageError(f"{path} is a database of another program; choose another --data")
+    if version > SCHEMA_VERSION:
+        raise StorageError(
+            f"the task log {path} has schema version {version}, this crkr knows {SCHEMA_VERSION}: use a newer crkr"
+        )
+    _check_size(connection, path)
+    connection.execute("PRAGMA journal_mode = WAL")
+    connection.execute("PRAGMA synchronous = FULL")
+    if not tables:
+        connection.executescript(
+            f"BEGIN IMMEDIATE; {TABLES} PRAGMA application_id = {APPLICATION_ID};"
+            f"PRAGMA user_version = {SCHEMA_VERSION}; COMMIT;"
+        )
+    connection.execute("BEGIN IMMEDIATE")  # fails here, not at the first report, where nothing can be written
+    connection.execute("ROLLBACK")
+
+
+def _check_size(connection: sqlite3.Connection, path: Path) -> None:
+    """Refuses a file that was cut off; pages that are only in the write-ahead log are not missing."""
+    pages = int(connection.execute("PRAGMA page_count").fetchone()[0])
+    size = int(connection.execute("PRAGMA page_size").fetchone()[0])
+    wal = path.with_name(path.name + "-wal")
+    have = path.stat().st_size + (wal.stat().st_size if wal.exists() else 0)
+    if have < pages * size:
+        raise StorageError(f"the task log {path} is cut off: {have} of {pages * size} bytes; restore a backup")

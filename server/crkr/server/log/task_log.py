@@ -1,0 +1,56 @@
+"""What the service asks of a store, so that another database can stand in."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Protocol
+from uuid import UUID
+
+from crkr.protocol import Conflict, TaskSpec
+from crkr.server.log.entries import Event, LoggedTrial, PendingReport, Stored
+
+__all__ = ["TaskLog"]
+
+
+class TaskLog(Protocol):
+    """Events of many tasks. Writes come from one thread and are durable when they return; reads from any thread.
+
+    Every method raises `StorageError` when the store cannot be written or read; nothing is half written then.
+    """
+
+    def tasks(self) -> tuple[str, ...]:
+        """Names of all tasks, oldest first."""
+        ...
+
+    def create(self, spec: TaskSpec) -> Event:
+        """Stores a new task; its create event has seq 1."""
+        ...
+
+    def append_reports(self, reports: Sequence[PendingReport]) -> list[Stored | Conflict]:
+        """Stores several reports in one transaction; a report in conflict leaves the others alone."""
+        ...
+
+    def append_event(self, task: str, kind: str, body: Mapping[str, Any]) -> Event:
+        """Stores an event and brings the trials it names up to date."""
+        ...
+
+    def missing(self, task: str, ids: Sequence[UUID]) -> list[UUID]:
+        """The ids that name no stored trial."""
+        ...
+
+    def read(self, task: str, after: int = 0) -> Iterator[LoggedTrial | Event]:
+        """All entries past a log position, in order, checked against their digests."""
+        ...
+
+    def page(self, task: str, after: int, limit: int, most_bytes: int) -> tuple[list[dict[str, Any]], int | None]:
+        """Trials past a log position as wire maps with their present costs, and where to go on (None at the end)."""
+        ...
+
+    def backup(self, target: Path) -> None:
+        """Copies the whole log into a new file, consistently, while it is in use."""
+        ...
+
+    def close(self) -> None:
+        """Ends all work; idempotent."""
+        ...

@@ -1,0 +1,92 @@
+"""One query on its way through the server, to be answered exactly once."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Mapping
+from typing import Any, final
+
+import zenoh
+
+from crkr.protocol import CrkrError, Internal, check_encoding, encoding, error_to_wire, pack, split_key, unpack
+from crkr.server.latency import Latencies
+
+__all__ = ["Request"]
+
+logger = logging.getLogger(__name__)
+
+_ERROR_ENCODING = zenoh.Encoding(encoding("error"))
+
+
+@final
+class Request:
+    """A query with its key taken apart.
+
+    Attributes:
+        scope: "rpc", "task" or "admin".
+        task: The task's name, "" for scope "rpc".
+        verb: The last part of the key.
+        size: Bytes of the payload.
+        held: Somebody took it over and will answer it later.
+
+    Raises:
+        Invalid: The key is none of the protocol's; the query is left to the caller.
+    """
+
+    __slots__ = ("_latencies", "_payload", "_query", "_received", "answered", "held", "scope", "size", "task", "verb")
+
+    def __init__(self, query: zenoh.Query, latencies: Latencies) -> None:
+        self._received = time.perf_counter()
+        self._query = query
+        self._latencies = latencies
+        self.answered = self.held = False
+        self.scope, self.task, self.verb = split_key(str(query.key_expr))
+        payload = query.payload
+        self._payload = b"" if payload is None else payload.to_bytes()
+        self.size = len(self._payload)
+
+    def message(self) -> dict[str, Any]:
+        """The decoded request; raises `Invalid` or `Unsupported`."""
+        given = self._query.encoding
+        if given is not None:
+            check_encoding(str(given))
+        return unpack(self._payload)
+
+    def reply(self, message: Mapping[str, Any]) -> None:
+        """Answers."""
+        self.reply_packed(pack(message))
+
+    def reply_packed(self, payload: bytes) -> None:
+        """Answers with an encoded message."""
+        if self.answered:
+            return
+        self.answered = True
+        try:
+            with self._query:
+                self._query.reply(self._query.key_expr, payload, encoding=encoding(self.verb))
+        except zenoh.ZError as error:  # the client left, or the session is closing: nobody waits for this answer
+            logger.debug("reply to %s was not sent: %s", self.verb, error)
+        self._latencies.record(self.verb, time.perf_counter() - self._received)
+
+    def fail(self, error: CrkrError) -> None:
+        """Answers with an error."""
+        if not self.answered:
+            self.answered = True
+            refuse(self._query, error)
+
+    def fail_unexpectedly(self, error: Exception) -> None:
+        """Answers with what was raised: a `CrkrError` as it is, anything else as a defect whose traceback is logged."""
+        if not isinstance(error, CrkrError):
+            logger.error("%s of task %r failed", self.verb, self.task, exc_info=error)
+            error = Internal(f"{self.verb} failed by a defect of the server: {type(error).__name__}; see its log")
+        self.fail(error)
+
+
+def refuse(query: zenoh.Query, error: CrkrError) -> None:
+    """Answers a query with an error, and lets go of it."""
+    try:
+        with query:
+            query.reply_err(pack(error_to_wire(error)), encoding=_ERROR_ENCODING)
+    except zenoh.ZError as failure:
+        logger.debug("error reply was not sent: %s", failure)

@@ -1,0 +1,40 @@
+"""From the log back to a served task."""
+
+from __future__ import annotations
+
+import logging
+import time
+from typing import Final
+
+from crkr.protocol import StorageError, TaskSpec
+from crkr.server.applying import apply_entries, batches
+from crkr.server.log import Event, TaskLog
+from crkr.server.tasks import ServedTask
+
+__all__ = ["restore"]
+
+logger = logging.getLogger(__name__)
+
+_BATCH: Final = 4096
+
+
+def restore(log: TaskLog, name: str) -> ServedTask:
+    """Replays a task.
+
+    Raises:
+        StorageError: The log is damaged.
+    """
+    started = time.monotonic()
+    entries = log.read(name)
+    first = next(entries, None)
+    if not isinstance(first, Event) or first.kind != "create":
+        raise StorageError(f"the log of task {name!r} does not begin with its creation; restore a backup")
+    task = ServedTask(TaskSpec.from_dict(first.body["spec"]))
+    with task.learner.bulk():
+        for batch in batches(entries, _BATCH):
+            for entry in [batch] if isinstance(batch, Event) else batch:
+                task.note(entry)
+            apply_entries(task.learner, batch)
+    task.publish()
+    logger.info("restored task %s at log position %d in %.2f s", name, task.seq, time.monotonic() - started)
+    return task

@@ -1,0 +1,151 @@
+"""Wires the service together, and takes it apart in the order that loses nothing."""
+
+from __future__ import annotations
+
+import logging
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Final, Self, final
+from uuid import uuid4
+
+import zenoh
+
+from crkr.protocol import live_server_key, rpc_key, task_key
+from crkr.protocol.keys import admin_key
+from crkr.server.intake import Intake
+from crkr.server.lane import Lane
+from crkr.server.latency import Latencies
+from crkr.server.learning import Learning
+from crkr.server.log import SqliteLog
+from crkr.server.notices import Notices
+from crkr.server.predicting import Predictor
+from crkr.server.reading import Reader
+from crkr.server.restoring import restore
+from crkr.server.session import DEFAULT_LISTEN, open_session
+from crkr.server.tasks import Tasks
+from crkr.server.workers import Workers
+from crkr.server.writing import MOST_REPORTS, Writer
+
+__all__ = ["DEFAULT_LISTEN", "Server", "ServerSettings"]
+
+logger = logging.getLogger(__name__)
+
+_QUEUE: Final = 256
+_DRAIN_S: Final = 1.0  # for requests that were taken in before the order to stop
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class ServerSettings:
+    """How a server runs.
+
+    Attributes:
+        data: Data directory, made where there is none.
+        listen: Zenoh endpoint; None: the configuration file's, or tcp/127.0.0.1:7447.
+        zenoh_config: Zenoh configuration file (JSON5).
+    """
+
+    data: Path
+    listen: str | None = None
+    zenoh_config: Path | None = None
+
+
+@final
+class Server:
+    """A running service; a context manager.
+
+    Attributes:
+        tasks: What it serves.
+
+    Raises:
+        StorageError: The data directory cannot be used.
+        Unavailable: The endpoint cannot be listened on.
+        Invalid: The endpoint or the Zenoh configuration is not understood.
+    """
+
+    def __init__(self, settings: ServerSettings) -> None:
+        self.tasks = Tasks()
+        self._log = SqliteLog(settings.data)
+        try:
+            for name in self._log.tasks():
+                self.tasks.add(restore(self._log, name))
+            self._session = open_session(settings.listen, settings.zenoh_config)
+        except BaseException:
+            self._log.close()
+            raise
+        self._latencies, self._workers = Latencies(), Workers()
+        self._learning = Learning(Notices(self._session))
+        self._lanes: list[Lane] = []
+        self._intakes: list[Intake] = []
+        self._wire()
+        self._start()
+
+    def _wire(self) -> None:
+        server_id = uuid4()
+        predictor = Predictor(self.tasks, self._workers)
+        reader = Reader(server_id, self.tasks, self._log, self._learning, self._workers, self._latencies, self._queues)
+        writer = Writer(self._log, self.tasks, self._workers, self._learning)
+
+        def lane(name: str, verbs: str, work: Any, most: int = 1, limit: int = _QUEUE) -> dict[str, Lane]:
+            made = Lane(name, dict.fromkeys(verbs.split(), limit), work, most)
+            self._lanes.append(made)
+            return dict.fromkeys(verbs.split(), made)
+
+        write = lane("write", "report create_task recost remove configure archive", writer.work, MOST_REPORTS, 4096)
+        brief = lane("brief", "info tasks status model", reader.work)
+        samples = lane("samples", "samples", reader.work)
+        explain = lane("explain", "explain", reader.work)
+        bulk = lane("bulk predict", "predict", predictor.answer)
+        routes = {**write, **brief, **samples, **explain, **bulk}
+
+        def intake(key: str, verbs: str, predict: Any = None) -> None:
+            served = {verb: routes[verb] for verb in verbs.split()}
+            self._intakes.append(Intake(self._session, key, served, self._latencies, predict))
+
+        intake(task_key("*", "*"), "predict report status model samples explain", predictor.answer)
+        intake(rpc_key("*"), "info tasks create_task")
+        intake(admin_key("*", "*"), "recost remove configure archive")
+        self._token_key = live_server_key(str(server_id))
+
+    def _start(self) -> None:
+        self._learning.start()
+        for lane in self._lanes:
+            lane.start()
+        for intake in self._intakes:
+            intake.start()
+        self._workers.watch(self._session)
+        # The last: whoever sees it can ask at once.
+        self._token: zenoh.LivelinessToken = self._session.liveliness().declare_token(self._token_key)
+
+    def _queues(self) -> dict[str, Any]:
+        return {verb: depth for lane in self._lanes for verb, depth in lane.depths().items()}
+
+    def close(self) -> None:
+        """Answers what was taken in, commits it, and leaves; what comes meanwhile is told so."""
+        deadline = time.monotonic() + _DRAIN_S
+        try:
+            self._token.undeclare()  # type: ignore[no-untyped-call]  # zenoh's stub lacks the type
+        except zenoh.ZError as error:
+            logger.debug("liveliness token was not undeclared: %s", error)
+        for intake in self._intakes:
+            intake.stop()
+        for lane in self._lanes:
+            lane.close(max(0.05, deadline - time.monotonic()))
+        self._learning.close(max(0.05, deadline - time.monotonic()))
+        self._log.close()
+        try:
+            self._session.close()  # type: ignore[no-untyped-call]  # zenoh's stub lacks the type
+        except zenoh.ZError as error:
+            logger.warning("the session did not close cleanly: %s", error)
+        for intake in self._intakes:
+            intake.join(0.5)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()

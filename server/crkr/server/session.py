@@ -1,0 +1,75 @@
+"""The server's own Zenoh session, which is the router that clients connect to."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any, Final
+
+import zenoh
+
+from crkr.protocol import CrkrError, Invalid, Unavailable
+
+__all__ = ["DEFAULT_LISTEN", "open_session"]
+
+DEFAULT_LISTEN: Final = "tcp/127.0.0.1:7447"
+
+# What makes the session crkr's: clients find it by address only, and it answers from the moment it is open.
+_ALWAYS: Final[dict[str, Any]] = {
+    "mode": "router",
+    "scouting/multicast/enabled": False,
+    "scouting/gossip/enabled": False,
+    "scouting/delay": 0,
+    "transport/shared_memory/enabled": False,
+}
+# What a configuration file may set otherwise. A silent partition is noticed after one lease [ms].
+_DEFAULTS: Final[dict[str, Any]] = {"transport/link/tx/lease": 2000}
+
+_SOURCE_PLACE: Final = re.compile(r" at \S+\.rs:\d+\.?\]?")
+
+
+def open_session(listen: str | None, config_file: Path | None) -> zenoh.Session:
+    """Opens the router session.
+
+    Args:
+        listen: Endpoint, e.g. "tcp/127.0.0.1:7447"; None: the file's, or that one.
+        config_file: Zenoh configuration (JSON5), for TLS, access control and the like.
+
+    Raises:
+        Invalid: The file or the endpoint is not understood.
+        Unavailable: The endpoint cannot be listened on, e.g. the port is taken.
+    """
+    config = _config(listen, config_file)
+    try:
+        return zenoh.open(config)
+    except zenoh.ZError as error:
+        where = ", ".join(json.loads(config.get_json("listen/endpoints")))
+        raise Unavailable(f"cannot listen on {where}: {_reason(error)}") from error
+
+
+def _config(listen: str | None, config_file: Path | None) -> zenoh.Config:
+    given: dict[str, Any] = dict(_ALWAYS)
+    try:
+        if config_file is None:
+            config = zenoh.Config()
+            given |= {**_DEFAULTS, "listen/endpoints": [listen or DEFAULT_LISTEN]}
+        else:
+            config = zenoh.Config.from_file(str(config_file))
+            if listen is not None:
+                given["listen/endpoints"] = [listen]
+        for name, value in given.items():
+            config.insert_json5(name, json.dumps(value))
+    except zenoh.ZError as error:
+        what = f"Zenoh configuration {config_file}" if config_file else f"endpoint {listen!r}"
+        raise _refusal(what, error) from error
+    return config
+
+
+def _refusal(what: str, error: zenoh.ZError) -> CrkrError:
+    return Invalid(f"{what} is not understood: {_reason(error)}")
+
+
+def _reason(error: zenoh.ZError) -> str:
+    """The error's own words, without the places in Zenoh's sources."""
+    return _SOURCE_PLACE.sub("", str(error)).strip()

@@ -1,0 +1,91 @@
+"""The tasks that are served: each has one learner, changed by one thread, and one model, read by all."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Final, final
+
+from crkr.learner import Learner, Model
+from crkr.protocol import TaskSpec, UnknownTask
+from crkr.server.log import Event, LoggedTrial
+
+__all__ = ["ServedTask", "Tasks"]
+
+
+@final
+class ServedTask:
+    """A task in service.
+
+    Who may change what: the writer `seq`, `archived` and the counts, as it commits; the learning thread `learner`,
+    `model`, `spec`,
+    `eligible` and `fault`. `model` is swapped whole, so that a reader holds one consistent policy and no lock.
+
+    Attributes:
+        created: The specification as created.
+        learner: Only for the learning thread, and for the replay before it starts.
+        model: The policy that answers now.
+        spec: The specification in force.
+        seq: Last log position that was committed.
+        archived: Answers reads only.
+        samples: Stored trials by kind, removed ones too.
+        eligible: Trials that may be learned from.
+        fault: Why learning stopped, "" while it goes on.
+    """
+
+    __slots__ = ("archived", "created", "eligible", "fault", "learner", "model", "samples", "seq", "spec")
+
+    def __init__(self, spec: TaskSpec) -> None:
+        self.created: Final = spec
+        self.learner = Learner(spec)
+        self.model: Model = self.learner.model
+        self.spec = spec
+        self.seq = 1
+        self.archived = False
+        self.samples: Counter[str] = Counter()
+        self.eligible = 0
+        self.fault = ""
+
+    @property
+    def name(self) -> str:
+        """Its name in keys."""
+        return self.created.name
+
+    def note(self, entry: LoggedTrial | Event) -> None:
+        """Counts an entry that the log holds."""
+        self.seq = entry.seq
+        if isinstance(entry, LoggedTrial):
+            self.samples[entry.trial.kind] += 1
+        elif entry.kind == "archive":
+            self.archived = True
+
+    def publish(self) -> None:
+        """Makes what the learner knows the policy that answers."""
+        self.spec, self.model, self.eligible = self.learner.spec, self.learner.model, self.learner.eligible
+
+
+@final
+class Tasks:
+    """All tasks by name. Entries are only ever added, by the writer."""
+
+    def __init__(self) -> None:
+        self._by_name: dict[str, ServedTask] = {}
+
+    def add(self, task: ServedTask) -> None:
+        """Takes a task into service."""
+        self._by_name[task.name] = task
+
+    def find(self, name: str) -> ServedTask | None:
+        """The task, or None."""
+        return self._by_name.get(name)
+
+    def get(self, name: str) -> ServedTask:
+        """The task; raises `UnknownTask`."""
+        task = self._by_name.get(name)
+        if task is None:
+            known = ", ".join(sorted(self._by_name)[:20]) or "none yet"
+            raise UnknownTask(f"no task {name!r} here; there are: {known}", details={"task": name})
+        return task
+
+    def all(self) -> list[ServedTask]:
+        """Every task, oldest first."""
+        return list(self._by_name.values())

@@ -1,0 +1,162 @@
+"""The one thread that writes: commits, then acknowledges, then hands over to learning."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+from typing import Any, Final, final
+
+from crkr.protocol import (
+    Busy,
+    Conflict,
+    Invalid,
+    Receipt,
+    ReportRequest,
+    StorageError,
+    TaskSpec,
+)
+from crkr.server.administration import Change, read_change
+from crkr.server.learning import Learning
+from crkr.server.log import PendingReport, Stored, TaskLog
+from crkr.server.request import Request
+from crkr.server.tasks import ServedTask, Tasks
+from crkr.server.workers import Workers
+
+__all__ = ["MOST_REPORTS", "Writer"]
+
+logger = logging.getLogger(__name__)
+
+MOST_REPORTS: Final = 256  # in one commit
+_MOST_BACKLOG: Final = 20_000  # committed trials that wait to be learned from
+
+
+@final
+class Writer:
+    """The work of the write lane: reports in groups, everything else one by one, in the order they came."""
+
+    def __init__(self, log: TaskLog, tasks: Tasks, workers: Workers, learning: Learning) -> None:
+        self._log, self._tasks, self._workers, self._learning = log, tasks, workers, learning
+
+    def work(self, requests: list[Request]) -> None:
+        """Answers every one of them, or hands it to learning to be answered."""
+        reports: list[Request] = []
+        for request in requests:
+            if request.verb == "report":
+                reports.append(request)
+                continue
+            self._store(reports)
+            reports = []
+            try:
+                if request.verb == "create_task":
+                    self._create(request)
+                else:
+                    self._change(request)
+            except Exception as error:  # answered; the requests behind it go on
+                request.fail_unexpectedly(error)
+        self._store(reports)
+
+    def _store(self, requests: list[Request]) -> None:
+        decoded: list[tuple[Request, ServedTask, ReportRequest]] = []
+        for request in requests:
+            try:
+                decoded.append((request, *self._decode(request)))
+            except Exception as error:
+                request.fail_unexpectedly(error)
+        if not decoded:
+            return
+        try:
+            results = self._log.append_reports([PendingReport(task.name, asked.trials) for _, task, asked in decoded])
+        except StorageError as error:
+            logger.error("reports were not stored: %s", error.message)
+            for request, _, _ in decoded:
+                request.fail(error)
+            return
+        for (request, task, asked), result in zip(decoded, results, strict=True):
+            self._acknowledge(request, task, asked, result)
+
+    def _decode(self, request: Request) -> tuple[ServedTask, ReportRequest]:
+        task = self._tasks.get(request.task)
+        _refuse_archived(task)
+        if self._learning.backlog > _MOST_BACKLOG:
+            raise Busy(f"{self._learning.backlog} trials wait to be learned from; ask again later", retry_ms=500)
+        return task, ReportRequest.from_wire(request.message(), task.created)
+
+    def _acknowledge(self, request: Request, task: ServedTask, asked: ReportRequest, result: Stored | Conflict) -> None:
+        if isinstance(result, Conflict):
+            request.fail(result)
+            return
+        for entry in result.fresh:
+            task.note(entry)
+        for trial in asked.trials:
+            if trial.worker is not None:
+                self._workers.reported(task.name, trial.worker, (trial.id,))
+
+        def reply(_: Any = None, failure: Exception | None = None) -> None:
+            fresh = len(result.fresh)
+            receipt = Receipt(fresh, len(result.seqs) - fresh, result.seqs, task.model.version)
+            _settle(request, failure, receipt.to_wire())
+
+        if asked.wait:
+            request.held = True
+            self._learning.submit(task, result.fresh, reply)
+            return
+        reply()
+        if result.fresh:
+            self._learning.submit(task, result.fresh)
+
+    def _create(self, request: Request) -> None:
+        spec = TaskSpec.from_dict(request.message())
+        task = self._tasks.find(spec.name)
+        if task is None:
+            task = ServedTask(spec)  # refuses what the learner does not offer, before anything is stored
+            self._log.create(spec)
+            self._tasks.add(task)
+            logger.info("created task %s", spec.name)
+            request.reply({"created": True, "spec_hash": spec.fingerprint()})
+            return
+        fields = task.created.differences(spec)
+        if fields:
+            raise Conflict(
+                f"task {spec.name!r} exists with other {', '.join(fields)}; use its specification or another name",
+                details={"fields": fields},
+            )
+        request.reply({"created": False, "spec_hash": task.created.fingerprint()})
+
+    def _change(self, request: Request) -> None:
+        task = self._tasks.get(request.task)
+        change = read_change(request.verb, request.message(), task)
+        self.commit(task, change, request)
+
+    def commit(self, task: ServedTask, change: Change, request: Request) -> None:
+        """Commits a change and answers the request when the model includes it."""
+        _refuse_archived(task)
+        missing = self._log.missing(task.name, change.ids)
+        if missing:
+            listed = ", ".join(str(one) for one in missing[:5])
+            raise Invalid(
+                f"{len(missing)} ids name no trial of task {task.name!r}: {listed}",
+                details={"missing": [str(one) for one in missing]},
+            )
+        event = self._log.append_event(task.name, change.kind, change.body)
+        task.note(event)
+        logger.info("%s of task %s at log position %d", change.kind, task.name, event.seq)
+
+        def answer(result: Any, failure: Exception | None) -> None:
+            found = {} if failure else change.answer(task, result)
+            _settle(request, failure, {**found, "seq": event.seq, "model_version": task.model.version})
+
+        request.held = True
+        self._learning.submit(task, event, answer)
+
+
+def _settle(request: Request, failure: Exception | None, message: Mapping[str, Any]) -> None:
+    """Answers with the failure if there was one, else with the message."""
+    if failure is None:
+        request.reply(message)
+    else:
+        request.fail_unexpectedly(failure)
+
+
+def _refuse_archived(task: ServedTask) -> None:
+    if task.archived:
+        raise Invalid(f"task {task.name!r} is archived: it answers reads only", details={"task": task.name})

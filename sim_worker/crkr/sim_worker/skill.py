@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
-from crkr.protocol import Geom, TaskSpec, Trace
 from numpy.typing import NDArray
+
+from crkr.protocol import Geom, TaskSpec, Trace
 
 __all__ = ["Demonstration", "Geom", "Outcome", "Skill", "SkillFactory", "SkillOptions", "Trace"]
 

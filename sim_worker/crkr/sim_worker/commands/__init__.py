@@ -1,0 +1,5 @@
+"""The subcommands of `crkr` that this part provides; each module is imported only when its command runs."""
+
+from __future__ import annotations
+
+__all__: list[str] = []

@@ -1,0 +1,98 @@
+"""`crkr workers`: simulated robots that learn a skill."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from crkr.client.console import configure_logging, print_json, stderr
+from crkr.client.options import Connect, Json, LogLevel, ZenohConfig
+
+__all__ = ["workers"]
+
+Skill = Annotated[str, typer.Argument(help="An installed skill, or your own as package.module:factory.")]
+Workers = Annotated[int, typer.Option("-n", "--workers", min=1, max=256, help="Training processes.")]
+TaskName = Annotated[str | None, typer.Option("--task", help="Name of the task; the skill's own unless given.")]
+Trials = Annotated[
+    int | None, typer.Option(min=0, help="Stop when the task holds so many training trials in all; else run on.")
+]
+Demonstrations = Annotated[int, typer.Option(min=0, help="Demonstrations that the task must have first.")]
+Evaluations = Annotated[
+    int, typer.Option(min=0, max=1024, help="Fixed contexts that judge each epoch of 50 trials; 0 judges nothing.")
+]
+Environment = Annotated[str | None, typer.Option(help="Which simulator, e.g. contact.")]
+LauncherName = Annotated[str | None, typer.Option("--launcher", help="Where contexts come from, e.g. nominal.")]
+Preset = Annotated[str | None, typer.Option(help="Which specification the task is created with, e.g. tuned.")]
+Seed = Annotated[
+    int | None,
+    typer.Option(
+        min=0, max=2**31 - 1, help="Seed of demonstrations, contexts and a new task; unpredictable unless given."
+    ),
+]
+Patience = Annotated[float, typer.Option(min=0.1, metavar="SECONDS", help="How long the server may be away.")]
+Wait = Annotated[
+    bool, typer.Option("--wait", help="Let each trial wait for the model; one worker then repeats a run of its seed.")
+]
+
+
+def workers(
+    skill: Skill,
+    count: Workers = 1,
+    task: TaskName = None,
+    trials: Trials = None,
+    demonstrations: Demonstrations = 5,
+    evaluations: Evaluations = 50,
+    environment: Environment = None,
+    launcher: LauncherName = None,
+    preset: Preset = None,
+    seed: Seed = None,
+    patience: Patience = 60.0,
+    wait: Wait = False,
+    connect: Connect = None,
+    zenoh_config: ZenohConfig = None,
+    json: Json = False,
+    log_level: LogLevel = "warning",
+) -> None:
+    """Let simulated robots learn a skill.
+
+    Creates the skill's task, or joins it, records the demonstrations it lacks, and runs trials in as many processes as
+    asked. Ctrl-C ends them all with a summary (status 130; 143 for SIGTERM); a run is taken up where it was left.
+
+    Example: crkr workers table-tennis -n 4 --trials 1500
+    """
+    from crkr.client import Client
+    from crkr.sim_worker.launch import launch
+    from crkr.sim_worker.launch_plan import LaunchPlan
+    from crkr.sim_worker.progress import Progress
+    from crkr.sim_worker.randomness import unpredictable_seed
+    from crkr.sim_worker.skill import SkillOptions
+
+    configure_logging(log_level)
+    options = SkillOptions(environment=environment, launcher=launcher, preset=preset, name=task, seed=seed or 0)
+    with Client(connect, zenoh_config=zenoh_config) as client:
+        endpoint = client.endpoint
+    plan = LaunchPlan(
+        skill=skill,
+        options=options,
+        endpoint=endpoint,
+        zenoh_config=zenoh_config,
+        workers=count,
+        total=trials,
+        demonstrations=demonstrations,
+        evaluations=evaluations,
+        seed=unpredictable_seed() if seed is None else seed,
+        patience_s=patience,
+        wait=wait,
+        log_level=log_level,
+    )
+    with Progress(stderr, "training", trials, "trials") as progress:
+        report = launch(plan, progress.say, progress.show)
+    stderr.print(report.sentence())
+    if json:
+        print_json(report.to_dict())
+    if report.problem is not None:
+        stderr.print(f"error: {report.problem}")
+        raise typer.Exit(1)
+    if report.stopped_by is not None:
+        raise typer.Exit(128 + report.stopped_by)

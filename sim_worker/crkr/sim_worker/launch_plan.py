@@ -1,0 +1,106 @@
+"""What a launcher is asked to do, and what it did."""
+
+from __future__ import annotations
+
+import signal
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, final
+
+from crkr.sim_worker.skill import SkillOptions
+
+__all__ = ["LaunchPlan", "LaunchReport"]
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class LaunchPlan:
+    """A launcher's settings.
+
+    Attributes:
+        skill: Name of the skill.
+        options: How each process makes it.
+        endpoint: Where the server is.
+        zenoh_config: Transport settings, or None.
+        workers: How many training processes.
+        total: Training trials that the task is to hold in all; None runs until stopped.
+        demonstrations: How many the task must have before training.
+        evaluations: Fixed contexts to judge after each epoch; 0 judges nothing.
+        seed: Seed of demonstrations and workers.
+        patience_s: How long the server may be away [s].
+        wait: Reports return when the model includes the trial.
+        log_level: For the processes.
+    """
+
+    skill: str
+    options: SkillOptions
+    endpoint: str
+    zenoh_config: Path | None
+    workers: int
+    total: int | None
+    demonstrations: int
+    evaluations: int
+    seed: int
+    patience_s: float
+    wait: bool
+    log_level: str
+
+
+@final
+@dataclass(slots=True)
+class LaunchReport:
+    """What a launcher did.
+
+    Attributes:
+        task: Where.
+        workers: How many were started.
+        trials: Training trials that its workers stored.
+        successes: Of these.
+        demonstrations: How many it added.
+        epochs: Success rate by criterion of each epoch that it judged.
+        trained: Training trials that the task holds at the end, as far as known.
+        workers_lost: How many ended before their time.
+        problem: Why it could not finish, or None.
+        stopped_by: The signal that ended it, or None.
+        seconds: From the first process's start to the end [s].
+    """
+
+    task: str
+    workers: int
+    trials: int = 0
+    successes: int = 0
+    demonstrations: int = 0
+    epochs: dict[int, dict[str, float]] = field(default_factory=dict)
+    trained: int = 0
+    workers_lost: int = 0
+    problem: str | None = None
+    stopped_by: signal.Signals | None = None
+    seconds: float = 0.0
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data for JSON."""
+        return {
+            "task": self.task,
+            "workers": self.workers,
+            "workers_lost": self.workers_lost,
+            "trials": self.trials,
+            "successes": self.successes,
+            "demonstrations": self.demonstrations,
+            "epochs": [{"epoch": epoch, **rates} for epoch, rates in sorted(self.epochs.items())],
+            "trained": self.trained,
+            "stopped_by": None if self.stopped_by is None else self.stopped_by.name,
+            "problem": self.problem,
+            "seconds": self.seconds,
+        }
+
+    def sentence(self) -> str:
+        """What was done, for people."""
+        rate = f" ({self.successes} successful)" if self.trials else ""
+        parts = [f"{self.trials} trials{rate}"]
+        if self.demonstrations:
+            parts.append(f"{self.demonstrations} demonstrations")
+        if self.epochs:
+            last = max(self.epochs)
+            marks = ", ".join(f"{name} {value:.0%}" for name, value in self.epochs[last].items())
+            parts.append(f"{len(self.epochs)} epochs judged (epoch {last}: {marks})")
+        return f"{', '.join(parts)} in {self.seconds:.1f} s; task {self.task} holds {self.trained} training trials"

@@ -1,0 +1,180 @@
+"""Runs workers and an evaluator side by side: hands out trials, and goes on when a process is lost."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any, Final, final
+
+from crkr.client import Task
+from crkr.protocol import CrkrError
+from crkr.sim_worker.epochs import EpochClock
+from crkr.sim_worker.evaluation_desk import EvaluationDesk
+from crkr.sim_worker.fleet import Fleet, Member
+from crkr.sim_worker.launch_plan import LaunchPlan, LaunchReport
+from crkr.sim_worker.quota import Quota
+from crkr.sim_worker.stop_request import StopRequest
+from crkr.sim_worker.worker_process import ProcessSettings, run_worker
+
+__all__ = ["Launcher", "training_trials"]
+
+TICKETS_AHEAD: Final = 2  # so that a worker never waits for its launcher
+POLL_S: Final = 0.2
+STATUS_TIMEOUT_S: Final = 1.0
+
+
+def training_trials(status: Mapping[str, Any]) -> int:
+    """Training trials of a task: kinds trial and failed."""
+    samples = status["samples"]
+    return int(samples.get("trial", 0)) + int(samples.get("failed", 0))
+
+
+@final
+class Launcher:
+    """Supervises the processes of one `crkr workers`.
+
+    Args:
+        plan: What to do.
+        task: The task, with its demonstrations.
+        settings: What each process needs; the identity is made each one's own.
+        seeds: Seed of each worker.
+        trained: Training trials stored at the start.
+        clock: Names the epochs that end.
+        say: Prints a line for people.
+        show: Shows the training trials stored and a remark, often.
+    """
+
+    def __init__(
+        self,
+        plan: LaunchPlan,
+        task: Task,
+        settings: ProcessSettings,
+        seeds: Sequence[int],
+        trained: int,
+        clock: EpochClock,
+        say: Callable[[str], None],
+        show: Callable[[int, str], None],
+    ) -> None:
+        self._plan = plan
+        self._task = task
+        self._settings = settings
+        self._seeds = seeds
+        self._clock = clock
+        self._say = say
+        self._show = show
+        self._report = LaunchReport(task.name, plan.workers)
+        self._quota = Quota(plan.total, trained)
+        self._complete = plan.total is not None and trained >= plan.total
+        self._workers: list[Member] = []
+        self._away: set[str] = set()
+        self._next_poll = 0.0
+        self._started = time.monotonic()
+
+    def run(self) -> LaunchReport:
+        """Trains until the total is reached and judged, a signal comes, or the last worker is lost."""
+        self._started = time.monotonic()
+        with StopRequest() as stop, Fleet() as fleet:
+            desk = EvaluationDesk(fleet, self._settings, self._clock, self._say) if self._plan.evaluations else None
+            self._look(desk)
+            self._start_workers(fleet)
+            while not (stop or self._report.problem or (self._complete and not (desk and desk.unfinished))):
+                self._hand_out(desk)
+                for member, event in fleet.events(POLL_S):
+                    self._handle(member, event, desk)
+                    self._look(desk)
+                self._poll()
+                self._look(desk)
+                self._show(self._quota.trained, self._remark(desk))
+            self._report.stopped_by = stop.signal
+            fleet.stop()
+        return self._finished_report()
+
+    def _start_workers(self, fleet: Fleet) -> None:
+        identity = self._settings.identity
+        for index, seed in enumerate([] if self._complete else self._seeds):
+            own = replace(self._settings, identity=replace(identity, worker=f"{identity.worker}-{index}", seed=seed))
+            self._workers.append(fleet.start(f"worker {index}", run_worker, own))
+
+    def _look(self, desk: EvaluationDesk | None) -> None:
+        if desk is not None:
+            desk.look(self._quota.trained)
+            self._report.epochs = desk.rates
+            self._report.problem = self._report.problem or desk.problem
+
+    def _hand_out(self, desk: EvaluationDesk | None) -> None:
+        if self._complete or (desk is not None and desk.holds_up_training):
+            return
+        for worker in self._workers:
+            granted = self._quota.grant(max(0, TICKETS_AHEAD - worker.tickets))
+            worker.tickets += granted
+            for _ in range(granted):
+                worker.order("go")
+
+    def _poll(self) -> None:
+        """Learns from the server what other launchers did, and whether the total is reached."""
+        if self._complete or time.monotonic() < self._next_poll:
+            return
+        self._next_poll = time.monotonic() + POLL_S
+        under_way = sum(worker.tickets for worker in self._workers)
+        try:
+            stored = training_trials(self._task.status(timeout_s=STATUS_TIMEOUT_S))
+        except CrkrError:
+            return  # the workers, who are more patient, tell when the server is away
+        self._quota.observe(stored)
+        if self._quota.left == 0 and not under_way:
+            self._quota.settle(stored)
+            self._complete = self._quota.left == 0
+        if self._complete:  # leaves the processor to the evaluator
+            for worker in self._workers:
+                worker.order("stop")
+            self._workers.clear()
+
+    def _handle(self, member: Member, event: dict[str, Any] | None, desk: EvaluationDesk | None) -> None:
+        match event:
+            case {"event": "done", "success": success}:
+                member.tickets -= 1
+                self._quota.done()
+                self._report.trials += 1
+                self._report.successes += bool(success)
+            case {"event": "failed", "reason": reason}:
+                member.reason = reason
+            case {"event": "away", "reason": reason}:
+                if not self._away:
+                    self._say(f"warning: {reason}; trying again for {self._plan.patience_s:g} s")
+                self._away.add(member.name)
+            case {"event": "back"}:
+                self._away.discard(member.name)
+                if not self._away:
+                    self._say("the server answers again")
+            case None if member in self._workers:
+                self._lose(member)
+        if desk is not None and desk.owns(member):
+            desk.handle(event)
+
+    def _lose(self, worker: Member) -> None:
+        self._away.discard(worker.name)
+        self._workers.remove(worker)
+        self._report.workers_lost += 1
+        left = f"{len(self._workers)} of {self._plan.workers} go on" if self._workers else "none is left"
+        self._say(f"warning: {worker.name} (process {worker.process.pid}) {worker.ending()}; {left}")
+        if not self._workers:
+            self._report.problem = "all workers are lost"
+
+    def _remark(self, desk: EvaluationDesk | None) -> str:
+        done, seconds = self._report.trials, time.monotonic() - self._started
+        parts = [f"{done / max(1e-3, seconds):.0f}/s"] if done else []
+        if self._away:
+            parts.append("waiting for the server")
+        if self._complete and desk is not None:
+            parts.append(f"{desk.unfinished} epochs still to be judged")
+        if self._report.epochs:
+            last = max(self._report.epochs)
+            marks = ", ".join(f"{name} {rate:.0%}" for name, rate in self._report.epochs[last].items())
+            parts.append(f"after epoch {last}: {marks}")
+        return ", ".join(parts)
+
+    def _finished_report(self) -> LaunchReport:
+        self._report.seconds = time.monotonic() - self._started
+        self._report.trained = self._quota.trained
+        return self._report

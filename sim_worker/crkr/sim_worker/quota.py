@@ -1,0 +1,60 @@
+"""How many training trials may still be started, so that the task's total comes out exact."""
+
+from __future__ import annotations
+
+from typing import final
+
+__all__ = ["Quota"]
+
+
+@final
+class Quota:
+    """Counts tickets for training trials; a ticket is one trial that may be started.
+
+    With one launcher the total is met exactly. With several it may be exceeded by the trials that the others had under
+    way at the end.
+
+    Args:
+        total: Training trials that the task is to hold in all; None is no limit.
+        stored: Training trials that the task holds now.
+    """
+
+    def __init__(self, total: int | None, stored: int) -> None:
+        self._total = total
+        self._base = stored
+        self._granted = 0
+        self._done = 0
+        self._others = 0
+        self._seen = stored
+
+    @property
+    def trained(self) -> int:
+        """Training trials known to be stored."""
+        return max(self._seen, self._base + self._done + self._others)
+
+    @property
+    def left(self) -> int | None:
+        """Tickets that can be granted now; None is no limit."""
+        if self._total is None:
+            return None
+        return max(0, self._total - self._base - self._granted - self._others)
+
+    def grant(self, wanted: int) -> int:
+        """Takes up to `wanted` tickets and says how many."""
+        granted = wanted if self.left is None else min(wanted, self.left)
+        self._granted += granted
+        return granted
+
+    def done(self) -> None:
+        """A granted ticket became a stored trial."""
+        self._done += 1
+
+    def observe(self, stored: int) -> None:
+        """Learns how many training trials the task holds: what our tickets cannot account for, others did."""
+        self._others = max(self._others, stored - self._base - self._granted)
+        self._seen = max(self._seen, stored)
+
+    def settle(self, stored: int) -> None:
+        """Starts anew from the true count, with none of our tickets outstanding: those of lost workers come back."""
+        self._base, self._granted, self._done, self._others = stored, 0, 0, 0
+        self._seen = max(self._seen, stored)

@@ -1,0 +1,44 @@
+"""Ctrl-C and SIGTERM as a wish that a loop looks at, so that nothing is cut off in the middle."""
+
+from __future__ import annotations
+
+import signal
+from types import FrameType
+from typing import Any, Final, final
+
+__all__ = ["StopRequest"]
+
+SIGNALS: Final = (signal.SIGINT, signal.SIGTERM)
+
+
+@final
+class StopRequest:
+    """While entered, remembers the first of SIGINT and SIGTERM instead of acting on it; main thread only.
+
+    Attributes:
+        signal: Which one came, or None.
+    """
+
+    def __init__(self) -> None:
+        self.signal: signal.Signals | None = None
+        self._before: dict[signal.Signals, Any] = {}
+
+    def __enter__(self) -> StopRequest:
+        self._before = {each: signal.signal(each, self._remember) for each in SIGNALS}
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        for each, handler in self._before.items():
+            signal.signal(each, handler)
+
+    def __bool__(self) -> bool:
+        return self.signal is not None
+
+    @property
+    def status(self) -> int:
+        """Exit status by the shell's convention: 130 for SIGINT, 143 for SIGTERM, 0 for neither."""
+        return 0 if self.signal is None else 128 + self.signal
+
+    def _remember(self, number: int, frame: FrameType | None) -> None:
+        del frame  # Unused.
+        self.signal = self.signal or signal.Signals(number)

@@ -1,0 +1,123 @@
+"""One training trial: see a state, ask for a goal, try it, report it durably, show it."""
+
+from __future__ import annotations
+
+import logging
+import time
+from dataclasses import dataclass
+from typing import final
+
+from crkr.client import Task
+from crkr.protocol import Conflict, Prediction, Receipt, Trial, training_id
+from crkr.sim_worker.orders import Orders
+from crkr.sim_worker.randomness import training_rng, unpredictable_seed
+from crkr.sim_worker.skill import Outcome, Skill
+from crkr.sim_worker.telemetry import Telemetry, Timing
+
+__all__ = ["Identity", "TrialLoop", "tried"]
+
+logger = logging.getLogger(__name__)
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Identity:
+    """Who tries.
+
+    Attributes:
+        worker: Name in the log and on displays.
+        seed: Seed of the situations it draws.
+        first_seq: Log position when it started; with the seed it makes the ids of its trials.
+    """
+
+    worker: str
+    seed: int
+    first_seq: int
+
+
+def tried(task: Task, answer: Prediction, result: Outcome, worker: str) -> Trial:
+    """The training trial that a result amounts to; a goal that was not executed is of kind "failed"."""
+    return Trial.create(
+        task.spec,
+        id=answer.trial_id,
+        state=answer.state,
+        goal=answer.goal,
+        cost=result.cost,
+        success=result.success and result.executed,
+        kind="trial" if result.executed else "failed",
+        outcome=result.outcome,
+        worker=worker,
+        model_version=answer.model_version,
+        info=result.info,
+    )
+
+
+@final
+class TrialLoop:
+    """Runs training trials one after the other.
+
+    Args:
+        task: What is learned.
+        skill: Who tries.
+        identity: Names and seeds.
+        orders: Says when to give up while the server is away.
+        wait: Report only returns when the model includes the trial; one worker then repeats a whole run.
+    """
+
+    def __init__(self, task: Task, skill: Skill, identity: Identity, orders: Orders, *, wait: bool = False) -> None:
+        self._task = task
+        self._skill = skill
+        self._identity = identity
+        self._orders = orders
+        self._wait = wait
+        self._telemetry = Telemetry(task, skill.scene())
+        self._seed = identity.seed
+        self._rng = training_rng(identity.seed, identity.first_seq)
+        self._count = 0
+
+    def run_one(self) -> Trial:
+        """Tries one goal in a new situation; returns when the trial is stored.
+
+        Raises:
+            CrkrError: The server refuses, or is away for longer than the patience.
+            Stopped: The launcher wants this process to end.
+        """
+        while True:
+            try:
+                return self._run_one()
+            except Conflict:
+                # Another launcher was started with the same seed at the same log position.
+                self._seed = unpredictable_seed()
+                self._rng = training_rng(self._seed, self._identity.first_seq)
+                logger.warning("another worker uses this seed; %s draws a new one", self._identity.worker)
+
+    def _run_one(self) -> Trial:
+        self._count += 1
+        trial_id = training_id(self._task.name, self._seed, self._identity.first_seq, self._count)
+        state = self._skill.reset(self._rng)
+        started = time.monotonic()
+        answer = self._orders.insist(
+            lambda: self._task.predict(state, explore=True, trial_ids=[trial_id], worker=self._identity.worker)
+        )
+        predicted = time.monotonic()
+        result = self._skill.execute(answer.goal)
+        executed = time.monotonic()
+        trial = tried(self._task, answer, result, self._identity.worker)
+        receipt = self._orders.insist(lambda: self._task.report_trials([trial], wait=self._wait))
+        timing = _timing(started, predicted, executed, time.monotonic())
+        self._show(trial, receipt, answer, result, timing)
+        return trial
+
+    def _show(self, trial: Trial, receipt: Receipt, answer: Prediction, result: Outcome, timing: Timing) -> None:
+        self._telemetry.publish(
+            trial,
+            receipt.seqs[0],
+            trace=result.trace,
+            sigma=answer.sigma,
+            novelty=float(answer.novelty),
+            timing=timing,
+        )
+
+
+def _timing(started: float, predicted: float, executed: float, reported: float) -> Timing:
+    return Timing(1e3 * (predicted - started), 1e3 * (executed - predicted), 1e3 * (reported - executed))

@@ -1,8 +1,5 @@
-"""The policy service: takes queries, keeps the task log, learns, and says so."""
+"""The policy service. It is a process, not a library: `crkr server` runs it, and `crkr.server.server` holds it."""
 
 from __future__ import annotations
 
-from crkr.server.log import SqliteLog, TaskLog
-from crkr.server.server import Server, ServerSettings
-
-__all__ = ["Server", "ServerSettings", "SqliteLog", "TaskLog"]
+__all__: list[str] = []  # importing the package stays light, so that `crkr --help` does

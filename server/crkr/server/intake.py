@@ -10,7 +10,7 @@ import logging
 import threading
 from collections import deque
 from collections.abc import Callable, Mapping
-from typing import Final, final
+from typing import Any, Final, final
 
 import zenoh
 
@@ -43,7 +43,7 @@ class Intake:
         self,
         session: zenoh.Session,
         key: str,
-        lanes: Mapping[str, Lane],
+        lanes: Mapping[str, Lane[Any]],
         latencies: Latencies,
         predict: Callable[[list[Request]], None] | None = None,
     ) -> None:
@@ -116,7 +116,7 @@ class Intake:
         else:
             self._waiting.append(request)
 
-    def _lane(self, request: Request) -> Lane:
+    def _lane(self, request: Request) -> Lane[Any]:
         lane = self._lanes.get(request.verb)
         if lane is None:
             raise Unsupported(f"verb {request.verb!r} is not offered here; these are: {', '.join(sorted(self._lanes))}")

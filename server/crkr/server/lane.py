@@ -6,16 +6,17 @@ import logging
 import threading
 from collections import Counter, deque
 from collections.abc import Callable, Mapping
-from typing import Any, Final, final
+from typing import Any, Final, Generic, TypeVar, final
 
 from crkr.protocol import Busy, ShuttingDown
-from crkr.server.request import Request
+from crkr.server.request import Job
 
 __all__ = ["Lane", "shutting_down"]
 
 logger = logging.getLogger(__name__)
 
 _RETRY_MS: Final = 50
+_Job = TypeVar("_Job", bound=Job)
 
 
 def shutting_down() -> ShuttingDown:
@@ -24,7 +25,7 @@ def shutting_down() -> ShuttingDown:
 
 
 @final
-class Lane:
+class Lane(Generic[_Job]):
     """Works off requests in the order they came, several at once where the work can use that.
 
     Args:
@@ -34,11 +35,9 @@ class Lane:
         most: Largest batch. Batches are what is waiting; nothing waits for a batch to fill.
     """
 
-    def __init__(
-        self, name: str, limits: Mapping[str, int], work: Callable[[list[Request]], None], most: int = 1
-    ) -> None:
+    def __init__(self, name: str, limits: Mapping[str, int], work: Callable[[list[_Job]], None], most: int = 1) -> None:
         self._limits, self._work, self._most = dict(limits), work, most
-        self._queue: deque[Request] = deque()
+        self._queue: deque[_Job] = deque()
         self._waiting: Counter[str] = Counter()
         self._changed = threading.Condition()
         self._closing = False
@@ -48,7 +47,7 @@ class Lane:
         """Begins to work."""
         self._thread.start()
 
-    def offer(self, request: Request) -> None:
+    def offer(self, request: _Job) -> None:
         """Queues a request, or refuses it at once."""
         limit = self._limits[request.verb]
         with self._changed:
@@ -88,7 +87,7 @@ class Lane:
                 if not request.held and not request.answered:
                     request.fail_unexpectedly(RuntimeError("left without an answer"))
 
-    def _take(self) -> list[Request]:
+    def _take(self) -> list[_Job]:
         with self._changed:
             while not self._queue and not self._closing:
                 self._changed.wait()

@@ -40,10 +40,11 @@ class Learning:
 
     Args:
         notice: Told of each new model: task, the one before, the new one.
+        due: Told of each task whose settings ask for a fit now.
     """
 
-    def __init__(self, notice: Notice) -> None:
-        self._notice = notice
+    def __init__(self, notice: Notice, due: Callable[[ServedTask], None]) -> None:
+        self._notice, self._due = notice, due
         self._steps: deque[_Step] = deque()
         self._changed = threading.Condition()
         self._closing = False
@@ -120,6 +121,8 @@ class Learning:
                 step.done(result, failure)
         if task.model is not before:
             self._notice(task, before, task.model)
+            if task.learner.refit_due:
+                self._due(task)
 
 
 def _learn(task: ServedTask, group: list[_Step]) -> Any:

@@ -5,18 +5,47 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Mapping
-from typing import Any, final
+from typing import Any, Protocol, final
 
 import zenoh
 
 from crkr.protocol import CrkrError, Internal, check_encoding, encoding, error_to_wire, pack, split_key, unpack
 from crkr.server.latency import Latencies
 
-__all__ = ["Request"]
+__all__ = ["Job", "Request", "refuse"]
 
 logger = logging.getLogger(__name__)
 
 _ERROR_ENCODING = zenoh.Encoding(encoding("error"))
+
+
+class Job(Protocol):
+    """What a lane works off: a request, or something that the server asks of itself."""
+
+    held: bool
+    answered: bool
+
+    @property
+    def verb(self) -> str:
+        """Which queue it waits in."""
+        ...
+
+    @property
+    def task(self) -> str:
+        """The task's name."""
+        ...
+
+    def reply(self, message: Mapping[str, Any]) -> None:
+        """Answers."""
+        ...
+
+    def fail(self, error: CrkrError) -> None:
+        """Answers with an error."""
+        ...
+
+    def fail_unexpectedly(self, error: Exception) -> None:
+        """Answers with whatever was raised."""
+        ...
 
 
 @final

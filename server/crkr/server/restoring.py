@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import logging
 import time
+from collections.abc import Iterator
+from itertools import islice
 from typing import Final
 
 from crkr.protocol import StorageError, TaskSpec
 from crkr.server.applying import apply_entries, batches
-from crkr.server.log import Event, TaskLog
+from crkr.server.log import Event, LoggedTrial, TaskLog
+from crkr.server.radii_cache import load_radii
 from crkr.server.tasks import ServedTask
 
 __all__ = ["restore"]
@@ -16,6 +19,7 @@ __all__ = ["restore"]
 logger = logging.getLogger(__name__)
 
 _BATCH: Final = 4096
+_FEW: Final = 2000  # entries after the cached radii that are cheaper to learn one by one than all radii to find anew
 
 
 def restore(log: TaskLog, name: str) -> ServedTask:
@@ -30,11 +34,21 @@ def restore(log: TaskLog, name: str) -> ServedTask:
     if not isinstance(first, Event) or first.kind != "create":
         raise StorageError(f"the log of task {name!r} does not begin with its creation; restore a backup")
     task = ServedTask(TaskSpec.from_dict(first.body["spec"]))
-    with task.learner.bulk():
-        for batch in batches(entries, _BATCH):
-            for entry in [batch] if isinstance(batch, Event) else batch:
-                task.note(entry)
-            apply_entries(task.learner, batch)
+    radii = load_radii(log, name)
+    if radii is not None and log.last(name) - _FEW <= radii.version <= log.last(name):
+        with task.learner.bulk(radii):
+            _replay(task, islice(entries, radii.version - 1))
+        _replay(task, entries)
+    else:
+        with task.learner.bulk():
+            _replay(task, entries)
     task.publish()
     logger.info("restored task %s at log position %d in %.2f s", name, task.seq, time.monotonic() - started)
     return task
+
+
+def _replay(task: ServedTask, entries: Iterator[LoggedTrial | Event]) -> None:
+    for batch in batches(entries, _BATCH):
+        for entry in [batch] if isinstance(batch, Event) else batch:
+            task.note(entry)
+        apply_entries(task.learner, batch)

@@ -14,6 +14,7 @@ import zenoh
 
 from crkr.protocol import live_server_key, rpc_key, task_key
 from crkr.protocol.keys import admin_key
+from crkr.server.fitting import DueFit, Fitting
 from crkr.server.intake import Intake
 from crkr.server.lane import Lane
 from crkr.server.latency import Latencies
@@ -21,10 +22,11 @@ from crkr.server.learning import Learning
 from crkr.server.log import SqliteLog
 from crkr.server.notices import Notices
 from crkr.server.predicting import Predictor
+from crkr.server.radii_cache import save_radii
 from crkr.server.reading import Reader
 from crkr.server.restoring import restore
 from crkr.server.session import DEFAULT_LISTEN, open_session
-from crkr.server.tasks import Tasks
+from crkr.server.tasks import ServedTask, Tasks
 from crkr.server.workers import Workers
 from crkr.server.writing import MOST_REPORTS, Writer
 
@@ -33,6 +35,7 @@ __all__ = ["DEFAULT_LISTEN", "Server", "ServerSettings"]
 logger = logging.getLogger(__name__)
 
 _QUEUE: Final = 256
+_MANY: Final = 10_000  # entries, from which on keeping the radii pays
 _DRAIN_S: Final = 1.0  # for requests that were taken in before the order to stop
 
 
@@ -76,8 +79,9 @@ class Server:
             self._log.close()
             raise
         self._latencies, self._workers = Latencies(), Workers()
-        self._learning = Learning(Notices(self._session))
-        self._lanes: list[Lane] = []
+        self._learning = Learning(Notices(self._session), self._fit_when_due)
+        self._due: dict[str, DueFit] = {}
+        self._lanes: list[Lane[Any]] = []
         self._intakes: list[Intake] = []
         self._wire()
         self._start()
@@ -88,8 +92,8 @@ class Server:
         reader = Reader(server_id, self.tasks, self._log, self._learning, self._workers, self._latencies, self._queues)
         writer = Writer(self._log, self.tasks, self._workers, self._learning)
 
-        def lane(name: str, verbs: str, work: Any, most: int = 1, limit: int = _QUEUE) -> dict[str, Lane]:
-            made = Lane(name, dict.fromkeys(verbs.split(), limit), work, most)
+        def lane(name: str, verbs: str, work: Any, most: int = 1, limit: int = _QUEUE) -> dict[str, Lane[Any]]:
+            made: Lane[Any] = Lane(name, dict.fromkeys(verbs.split(), limit), work, most)
             self._lanes.append(made)
             return dict.fromkeys(verbs.split(), made)
 
@@ -98,7 +102,10 @@ class Server:
         samples = lane("samples", "samples", reader.work)
         explain = lane("explain", "explain", reader.work)
         bulk = lane("bulk predict", "predict", predictor.answer)
-        routes = {**write, **brief, **samples, **explain, **bulk}
+        self._fitting = Fitting(self.tasks, self._learning, writer)
+        refit = lane("refit", "refit", self._fitting.work, limit=16)
+        self._refit_lane = refit["refit"]
+        routes = {**write, **refit, **brief, **samples, **explain, **bulk}
 
         def intake(key: str, verbs: str, predict: Any = None) -> None:
             served = {verb: routes[verb] for verb in verbs.split()}
@@ -106,7 +113,7 @@ class Server:
 
         intake(task_key("*", "*"), "predict report status model samples explain", predictor.answer)
         intake(rpc_key("*"), "info tasks create_task")
-        intake(admin_key("*", "*"), "recost remove configure archive")
+        intake(admin_key("*", "*"), "refit recost remove configure archive")
         self._token_key = live_server_key(str(server_id))
 
     def _start(self) -> None:
@@ -118,6 +125,23 @@ class Server:
         self._workers.watch(self._session)
         # The last: whoever sees it can ask at once.
         self._token: zenoh.LivelinessToken = self._session.liveliness().declare_token(self._token_key)
+
+    def _fit_when_due(self, task: ServedTask) -> None:
+        """Called by learning after every step until the fit begins."""
+        due = self._due.get(task.name)
+        if due is None or due.answered:
+            self._due[task.name] = DueFit(task.name)
+            self._refit_lane.offer(self._due[task.name])
+
+    def _keep_radii(self) -> None:
+        """After learning stopped: its learners are nobody's now."""
+        for task in self.tasks.all():
+            version = task.model.version
+            kept = self._log.load_cache(task.name)
+            if version > _MANY and not task.fault and (kept is None or kept[0] < version):
+                radii = task.learner.radii()
+                if radii is not None:
+                    save_radii(self._log, task.name, radii)
 
     def _queues(self) -> dict[str, Any]:
         return {verb: depth for lane in self._lanes for verb, depth in lane.depths().items()}
@@ -131,9 +155,11 @@ class Server:
             logger.debug("liveliness token was not undeclared: %s", error)
         for intake in self._intakes:
             intake.stop()
+        self._fitting.stop()
         for lane in self._lanes:
             lane.close(max(0.05, deadline - time.monotonic()))
         self._learning.close(max(0.05, deadline - time.monotonic()))
+        self._keep_radii()
         self._log.close()
         try:
             self._session.close()  # type: ignore[no-untyped-call]  # zenoh's stub lacks the type

@@ -16,9 +16,9 @@ __all__ = ["ServedTask", "Tasks"]
 class ServedTask:
     """A task in service.
 
-    Who may change what: the writer `seq`, `archived` and the counts, as it commits; the learning thread `learner`,
-    `model`, `spec`,
-    `eligible` and `fault`. `model` is swapped whole, so that a reader holds one consistent policy and no lock.
+    Who may change what: the writer `seq`, `configured`, `archived` and the counts, as it commits; the learning thread
+    `learner`, `model`, `spec`, `eligible` and `fault`. `model` is swapped whole, so that a reader holds one consistent
+    policy and no lock.
 
     Attributes:
         created: The specification as created.
@@ -26,20 +26,21 @@ class ServedTask:
         model: The policy that answers now.
         spec: The specification in force.
         seq: Last log position that was committed.
+        configured: Log position of the last change of its settings.
         archived: Answers reads only.
         samples: Stored trials by kind, removed ones too.
         eligible: Trials that may be learned from.
         fault: Why learning stopped, "" while it goes on.
     """
 
-    __slots__ = ("archived", "created", "eligible", "fault", "learner", "model", "samples", "seq", "spec")
+    __slots__ = ("archived", "configured", "created", "eligible", "fault", "learner", "model", "samples", "seq", "spec")
 
     def __init__(self, spec: TaskSpec) -> None:
         self.created: Final = spec
         self.learner = Learner(spec)
         self.model: Model = self.learner.model
         self.spec = spec
-        self.seq = 1
+        self.seq = self.configured = 1
         self.archived = False
         self.samples: Counter[str] = Counter()
         self.eligible = 0
@@ -57,6 +58,8 @@ class ServedTask:
             self.samples[entry.trial.kind] += 1
         elif entry.kind == "archive":
             self.archived = True
+        elif entry.kind == "configure":
+            self.configured = entry.seq
 
     def publish(self) -> None:
         """Makes what the learner knows the policy that answers."""

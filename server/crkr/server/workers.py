@@ -25,10 +25,10 @@ _FIFO: Final = 65536
 
 @final
 class _Worker:
-    __slots__ = ("alive", "last_seen", "open")
+    __slots__ = ("alive", "announced", "last_seen", "open")
 
     def __init__(self) -> None:
-        self.alive = False
+        self.alive = self.announced = False
         self.last_seen = time.time()
         self.open: OrderedDict[UUID, None] = OrderedDict()
 
@@ -75,7 +75,7 @@ class Workers:
             return [
                 {
                     "id": worker,
-                    "state": "alive" if entry.alive else "lost",
+                    "state": "alive" if entry.alive else "lost" if entry.announced else "unannounced",
                     "open_trials": len(entry.open),
                     "last_seen": entry.last_seen,
                 }
@@ -100,5 +100,5 @@ class Workers:
             alive = sample.kind == zenoh.SampleKind.PUT
             with self._lock:
                 entry = self._entry(task, worker)
-                entry.alive, entry.last_seen = alive, time.time()
+                entry.alive, entry.announced, entry.last_seen = alive, True, time.time()
             logger.info("worker %s of task %s is %s", worker, task, "alive" if alive else "gone")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import threading
 from collections.abc import Mapping
 from typing import Any, Final, final
 
@@ -18,7 +19,7 @@ from crkr.protocol import (
 from crkr.server.administration import Change, read_change
 from crkr.server.learning import Learning
 from crkr.server.log import PendingReport, Stored, TaskLog
-from crkr.server.request import Request
+from crkr.server.request import Job, Request
 from crkr.server.tasks import ServedTask, Tasks
 from crkr.server.workers import Workers
 
@@ -36,6 +37,7 @@ class Writer:
 
     def __init__(self, log: TaskLog, tasks: Tasks, workers: Workers, learning: Learning) -> None:
         self._log, self._tasks, self._workers, self._learning = log, tasks, workers, learning
+        self._order = threading.Lock()  # from a commit to its place in learning's queue, nothing comes between
 
     def work(self, requests: list[Request]) -> None:
         """Answers every one of them, or hands it to learning to be answered."""
@@ -64,6 +66,10 @@ class Writer:
                 request.fail_unexpectedly(error)
         if not decoded:
             return
+        with self._order:
+            self._commit(decoded)
+
+    def _commit(self, decoded: list[tuple[Request, ServedTask, ReportRequest]]) -> None:
         try:
             results = self._log.append_reports([PendingReport(task.name, asked.trials) for _, task, asked in decoded])
         except StorageError as error:
@@ -127,8 +133,12 @@ class Writer:
         change = read_change(request.verb, request.message(), task)
         self.commit(task, change, request)
 
-    def commit(self, task: ServedTask, change: Change, request: Request) -> None:
-        """Commits a change and answers the request when the model includes it."""
+    def commit(self, task: ServedTask, change: Change, request: Job) -> None:
+        """Commits a change and answers the request when the model includes it; any thread may."""
+        with self._order:
+            self._commit_change(task, change, request)
+
+    def _commit_change(self, task: ServedTask, change: Change, request: Job) -> None:
         _refuse_archived(task)
         missing = self._log.missing(task.name, change.ids)
         if missing:
@@ -149,7 +159,7 @@ class Writer:
         self._learning.submit(task, event, answer)
 
 
-def _settle(request: Request, failure: Exception | None, message: Mapping[str, Any]) -> None:
+def _settle(request: Job, failure: Exception | None, message: Mapping[str, Any]) -> None:
     """Answers with the failure if there was one, else with the message."""
     if failure is None:
         request.reply(message)

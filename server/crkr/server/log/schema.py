@@ -31,6 +31,11 @@ CREATE TABLE trial (
     PRIMARY KEY (task, seq)) WITHOUT ROWID;
 CREATE UNIQUE INDEX trial_id ON trial (task, id);
 """
+# What makes a restart quick and may be dropped at any time: the log alone is the truth.
+CACHE: Final = """
+CREATE TABLE IF NOT EXISTS cache (task INTEGER PRIMARY KEY, version INTEGER NOT NULL, data BLOB NOT NULL,
+    digest BLOB NOT NULL)
+"""
 
 
 @contextmanager
@@ -93,7 +98,8 @@ def _prepare(connection: sqlite3.Connection, path: Path) -> None:
             f"PRAGMA user_version = {SCHEMA_VERSION}; COMMIT;"
         )
     connection.execute("BEGIN IMMEDIATE")  # fails here, not at the first report, where nothing can be written
-    connection.execute("ROLLBACK")
+    connection.execute(CACHE)
+    connection.execute("COMMIT")
 
 
 def _check_size(connection: sqlite3.Connection, path: Path) -> None:

@@ -58,6 +58,10 @@ class SqliteLog:
         """Names of all tasks, oldest first."""
         return tuple(self._keys)
 
+    def last(self, task: str) -> int:
+        """Log position of the task's last entry."""
+        return self._last[task]
+
     def create(self, spec: TaskSpec) -> Event:
         """Stores a new task; its create event has seq 1."""
         with self._transaction(f"create task {spec.name!r}") as connection:
@@ -159,6 +163,24 @@ class SqliteLog:
                     return entries, int(entries[-1]["seq"])
                 entries.append(wire_of(row))
         return entries, None
+
+    def save_cache(self, task: str, version: int, data: bytes) -> None:
+        """Keeps bytes that belong to a log position, in place of the ones before."""
+        with self._transaction(f"store the cache of task {task!r}") as connection:
+            connection.execute(
+                "INSERT OR REPLACE INTO cache (task, version, data, digest) VALUES (?, ?, ?, ?)",
+                (self._keys[task], version, data, body_digest("cache", data)),
+            )
+
+    def load_cache(self, task: str) -> tuple[int, bytes] | None:
+        """The bytes kept last and their log position, or None where there are none or they are damaged."""
+        with storage_errors(f"read the cache of task {task!r}"):
+            row = (
+                self._reader()
+                .execute("SELECT version, data, digest FROM cache WHERE task = ?", (self._keys[task],))
+                .fetchone()
+            )
+        return (int(row[0]), row[1]) if row and body_digest("cache", row[1]) == row[2] else None
 
     def backup(self, target: Path) -> None:
         """Copies the whole log into a new file, consistently, while it is in use."""

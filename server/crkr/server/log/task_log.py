@@ -23,6 +23,10 @@ class TaskLog(Protocol):
         """Names of all tasks, oldest first."""
         ...
 
+    def last(self, task: str) -> int:
+        """Log position of the task's last entry."""
+        ...
+
     def create(self, spec: TaskSpec) -> Event:
         """Stores a new task; its create event has seq 1."""
         ...
@@ -45,6 +49,14 @@ class TaskLog(Protocol):
 
     def page(self, task: str, after: int, limit: int, most_bytes: int) -> tuple[list[dict[str, Any]], int | None]:
         """Trials past a log position as wire maps with their present costs, and where to go on (None at the end)."""
+        ...
+
+    def save_cache(self, task: str, version: int, data: bytes) -> None:
+        """Keeps bytes that belong to a log position, in place of the ones before."""
+        ...
+
+    def load_cache(self, task: str) -> tuple[int, bytes] | None:
+        """The bytes kept last and their log position, or None where there are none or they are damaged."""
         ...
 
     def backup(self, target: Path) -> None:

@@ -1,0 +1,160 @@
+"""`crkr watch`."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Callable
+from ipaddress import ip_address
+from pathlib import Path
+from typing import Annotated, Final, final
+
+import typer
+
+from crkr.client import Client
+from crkr.client.console import configure_logging, stderr, stdout
+from crkr.client.options import Connect, LogLevel, ZenohConfig
+from crkr.dashboard.feed import Feed
+from crkr.dashboard.ports import choose_port
+from crkr.dashboard.view import View
+from crkr.dashboard.viewer import Viewer, page_address, stream_address
+from crkr.dashboard.watching import follow, stopped_by_signals, wait_for_task
+from crkr.protocol import Unavailable
+
+__all__ = ["watch"]
+
+STREAM_PORT: Final = 9876
+WEB_PORT: Final = 9090
+PICTURES_S: Final = 1 / 15
+TABLES_S: Final = 0.25
+CALL_S: Final = 2.0
+CLOSE_S: Final = 1.5
+LOOPBACK: Final = "127.0.0.1"
+
+
+def watch(
+    task: Annotated[str, typer.Argument(help="Name of the task, e.g. table-tennis.")],
+    web: Annotated[bool, typer.Option("--web", help="Serve Rerun's viewer as a web page (the default).")] = False,
+    native: Annotated[bool, typer.Option("--native", help="Open Rerun's viewer in a window.")] = False,
+    terminal: Annotated[bool, typer.Option("--terminal", help="Show tables in this terminal; needs no Rerun.")] = False,
+    save: Annotated[Path | None, typer.Option(metavar="RUN.rrd", help="Also write the recording to this file.")] = None,
+    port: Annotated[
+        int | None, typer.Option(min=1, max=65535, help="Port of the recording; 9876 or the next free one.")
+    ] = None,
+    web_port: Annotated[
+        int | None, typer.Option(min=1, max=65535, help="Port of the web page; 9090 or the next free one.")
+    ] = None,
+    bind: Annotated[
+        str, typer.Option(metavar="ADDRESS", help="Address to serve both on; another than loopback shows it to others.")
+    ] = LOOPBACK,
+    patience: Annotated[
+        float, typer.Option(min=0.0, metavar="SECONDS", help="How long to wait for the server and the task.")
+    ] = 60.0,
+    connect: Connect = None,
+    zenoh_config: ZenohConfig = None,
+    log_level: LogLevel = "warning",
+) -> None:
+    """Watch a task learn, live: robots in 3D, learning curves, outcomes, workers.
+
+    It only looks: starting, stopping or losing it changes nothing for the server and its workers, and it can be started
+    at any time. End it with Ctrl-C.
+
+    Example: crkr watch table-tennis --save run.rrd
+    """
+    if web + native + terminal > 1:
+        raise typer.BadParameter("choose one of --web, --native and --terminal")
+    if terminal and save is not None:
+        raise typer.BadParameter("--save needs --web or --native")
+    configure_logging(log_level)
+    with stopped_by_signals() as stop, Client(connect, timeout_s=CALL_S, zenoh_config=zenoh_config) as client:
+        session = _Session(client, task, patience, stop)
+        complete = _in_terminal(session) if terminal else _in_rerun(session, native, save, bind, port, web_port)
+    if not complete:
+        _note("error: the recording could not be completed in time; its end may be missing")
+        os._exit(1)  # an ordinary exit would wait for the same writer without end
+
+
+@final
+class _Session:
+    """What every display needs: the task to come, and when to stop."""
+
+    def __init__(self, client: Client, task: str, patience_s: float, stop: threading.Event) -> None:
+        self.client = client
+        self.task = task
+        self.patience_s = patience_s
+        self.stop = stop
+
+    def show(self, view: View, tick_s: float, goes_on: Callable[[], bool] = lambda: True) -> Feed:
+        """Feeds the view until stopped."""
+        feed = Feed(view)
+        task = wait_for_task(self.client, self.task, self.patience_s, self.stop, _note)
+        if task is None:
+            return feed
+        with task.subscribe() as subscription:
+            follow(task, subscription, feed, tick_s, lambda: goes_on() and not self.stop.is_set())
+        return feed
+
+
+def _in_terminal(session: _Session) -> bool:
+    from crkr.dashboard.terminal import TerminalDisplay
+
+    with TerminalDisplay(stdout, session.task) as display:
+        display.finish(session.show(display, TABLES_S).progress)
+    return True
+
+
+def _in_rerun(
+    session: _Session, native: bool, save: Path | None, bind: str, port: int | None, web_port: int | None
+) -> bool:
+    """Returns whether the recording was completed in time."""
+    from crkr.dashboard.rerun_view import Recording, RerunDisplay
+
+    place = _served(bind)
+    if save is not None:
+        save.open("ab").close()  # says at once where it cannot be written
+    chosen = _port(bind, port, STREAM_PORT, "the recording")
+    recording = Recording((bind, chosen), save)
+    try:
+        with _viewer(native, bind, place, chosen, web_port) as viewer:
+            display = RerunDisplay(recording, session.task)
+            feed = session.show(display, PICTURES_S, lambda: viewer.is_running)
+            display.finish(feed.progress)
+            lost = not native and not session.stop.is_set() and not viewer.is_running
+            if lost:
+                raise Unavailable(f"the viewer's page is gone: {viewer.complaint()}")
+    finally:
+        complete = recording.close(CLOSE_S)
+        if save is not None and complete:
+            _note(f"recording: {save}")
+    return complete
+
+
+def _viewer(native: bool, bind: str, place: str, port: int, web_port: int | None) -> Viewer:
+    if native:
+        viewer = Viewer.native(stream_address(place, port), choose_port(LOOPBACK, None, port + 1))
+        _note("viewer: a window of its own; closing it ends this")
+        return viewer
+    page = _port(bind, web_port, WEB_PORT, "the page")
+    viewer = Viewer.web(bind, place, page, stream_address(place, port))
+    _note(f"viewer: {page_address(place, page, port)}")
+    return viewer
+
+
+def _port(bind: str, given: int | None, default: int, purpose: str) -> int:
+    port = choose_port(bind, given, default)
+    if port != (given or default):
+        _note(f"port {default} is taken; {purpose} is at {port}")
+    return port
+
+
+def _served(bind: str) -> str:
+    """How a browser on this machine reaches what is bound to `bind`; raises `typer.BadParameter`."""
+    try:
+        address = ip_address(bind)
+    except ValueError as error:
+        raise typer.BadParameter(f"--bind needs an IP address; got {bind!r}") from error
+    return LOOPBACK if address.is_unspecified else bind
+
+
+def _note(message: str) -> None:
+    stderr.print(message)

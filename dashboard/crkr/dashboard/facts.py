@@ -1,0 +1,78 @@
+"""What the tables of every display show, read leniently from the server's status: a server may add or omit fields."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, final
+
+from crkr.dashboard.progress import Progress
+
+__all__ = ["WorkerFacts", "latency_ms", "percent", "reason_rows", "worker_rows"]
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class WorkerFacts:
+    """One worker.
+
+    Attributes:
+        name: Its id.
+        alive: Whether its liveliness token stands; None where only the log knows it.
+        trials: How many trials it reported, of all kinds.
+        quiet_s: Since when nothing was heard of it [s], or None.
+    """
+
+    name: str
+    alive: bool | None
+    trials: int
+    quiet_s: float | None
+
+    @property
+    def state(self) -> str:
+        """One word: alive, gone or unknown."""
+        return "unknown" if self.alive is None else "alive" if self.alive else "gone"
+
+
+def worker_rows(status: Mapping[str, Any], progress: Progress) -> list[WorkerFacts]:
+    """Workers that the server knows, the living first, then those that only the log knows."""
+    listed = status.get("workers")
+    entries = [entry for entry in listed if isinstance(entry, Mapping)] if isinstance(listed, list) else []
+    now = time.time()
+    facts = {
+        str(entry.get("id")): WorkerFacts(
+            str(entry.get("id")),
+            entry.get("state") == "alive",
+            progress.workers[str(entry.get("id"))],
+            now - entry["last_seen"] if isinstance(entry.get("last_seen"), int | float) else None,
+        )
+        for entry in entries
+    }
+    for name, trials in progress.workers.items():
+        if name:
+            facts.setdefault(name, WorkerFacts(name, None, trials, None))
+    return sorted(facts.values(), key=lambda worker: (not worker.alive, worker.name))
+
+
+def reason_rows(progress: Progress) -> list[tuple[str, int, float, float]]:
+    """How training trials ended, the most frequent lately first: (reason, count, share, share of the last 50)."""
+    total = max(sum(progress.reasons.values()), 1)
+    rows = [(reason, count, count / total, progress.window.share(reason)) for reason, count in progress.reasons.items()]
+    return sorted(rows, key=lambda row: (-row[3], -row[1], row[0]))
+
+
+def latency_ms(status: Mapping[str, Any]) -> dict[str, tuple[float, float]]:
+    """The server's own time per verb: name -> (median, 99th percentile) [ms]."""
+    latency = status.get("latency_us")
+    found = {}
+    for verb, numbers in latency.items() if isinstance(latency, Mapping) else ():
+        p50, p99 = (numbers.get("p50"), numbers.get("p99")) if isinstance(numbers, Mapping) else (None, None)
+        if isinstance(p50, int | float) and isinstance(p99, int | float):
+            found[str(verb)] = (p50 / 1000, p99 / 1000)
+    return found
+
+
+def percent(share: float | None) -> str:
+    """A share for people, "-" where there is none."""
+    return "-" if share is None else f"{100 * share:.0f} %"

@@ -1,0 +1,102 @@
+"""Asks the server for new trials and its status, in a thread of its own so that no picture waits for an answer."""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final, final
+
+from crkr.client import Task
+from crkr.protocol import CrkrError, StoredTrial
+
+__all__ = ["News", "Poller"]
+
+SAMPLES_EVERY_S: Final = 0.5
+STATUS_EVERY_S: Final = 1.0
+PAGE: Final = 1000
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class News:
+    """What one question brought.
+
+    Attributes:
+        trials: New trials in the order of seq.
+        more: Whether the log has more than these.
+        status: The answer to `status`, or None.
+        lost: Why the server did not answer, or None.
+    """
+
+    trials: tuple[StoredTrial, ...] = ()
+    more: bool = False
+    status: Mapping[str, Any] | None = None
+    lost: CrkrError | None = None
+
+
+@final
+class Poller:
+    """Pages through the log from its beginning and then keeps up with it; use as a context manager.
+
+    Args:
+        task: What to watch; a client of its own, so that a slow answer holds up nothing else.
+    """
+
+    def __init__(self, task: Task) -> None:
+        self._task = task
+        self._after = 0
+        self._stop = threading.Event()
+        self._news: queue.Queue[News] = queue.Queue(maxsize=8)
+        self._thread = threading.Thread(target=self._run, name="crkr-poller", daemon=True)
+
+    def __enter__(self) -> Poller:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stop.set()
+        self._thread.join(timeout=1.0)
+
+    def take(self) -> list[News]:
+        """What came since the last call; never waits."""
+        taken = []
+        try:
+            while True:
+                taken.append(self._news.get_nowait())
+        except queue.Empty:
+            return taken
+
+    def _run(self) -> None:
+        next_status = 0.0
+        while not self._stop.is_set():
+            try:
+                more = self._ask_trials()
+                if time.monotonic() >= next_status:
+                    self._put(News(status=self._task.status()))
+                    next_status = time.monotonic() + STATUS_EVERY_S
+            except CrkrError as error:
+                if self._stop.is_set():
+                    return
+                self._put(News(lost=error))
+                more = False
+            if not more:
+                self._stop.wait(SAMPLES_EVERY_S)
+
+    def _ask_trials(self) -> bool:
+        trials, following = self._task.samples(after=self._after, limit=PAGE)
+        if trials:
+            self._after = trials[-1].seq
+            self._put(News(trials=tuple(trials), more=following is not None))
+        return following is not None
+
+    def _put(self, news: News) -> None:
+        """Waits while the display is behind, so that a long log is not held in memory."""
+        while not self._stop.is_set():
+            try:
+                self._news.put(news, timeout=0.2)
+            except queue.Full:
+                continue
+            return

@@ -1,0 +1,192 @@
+"""The run so far, counted from the log's trials in the order of their seq."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Final, final
+
+from crkr.dashboard.wilson import wilson_interval
+from crkr.dashboard.window import Window
+from crkr.protocol import StoredTrial
+
+__all__ = ["EpochResult", "Progress", "Row"]
+
+WINDOW: Final = 50  # training trials in a running mean: the paper's epoch
+QUIET_S: Final = 3.0  # an evaluation that gets no more balls for so long is over
+MAX_NAMES: Final = 24  # reasons, criteria and workers told apart; what comes beyond is "other"
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One trial of the log and its place in the run.
+
+    Attributes:
+        seq: Its log position.
+        trial: Training trials (kinds trial and failed) up to and including this one.
+        epoch: The epoch it belongs to; for an evaluation the epoch that it closes.
+        kind: The protocol's kind.
+        worker: Who reported it, "" if nobody said.
+        cost: In [0, 1], or None.
+        success: What the skill chose to learn from.
+        reason: Why it ended as it did, in the skill's words.
+        outcomes: Success by criterion, e.g. {"paper": True, "strict": False}.
+        mean_cost: Training trials only: mean cost of the last 50 of them, or None.
+        rates: Training trials only: success rate of the last 50 of them by criterion.
+        shares: Training trials only: share of the last 50 of them by reason.
+    """
+
+    seq: int
+    trial: int
+    epoch: int
+    kind: str
+    worker: str
+    cost: float | None
+    success: bool
+    reason: str
+    outcomes: Mapping[str, bool]
+    mean_cost: float | None = None
+    rates: Mapping[str, float] = field(default_factory=dict)
+    shares: Mapping[str, float] = field(default_factory=dict)
+
+
+@final
+@dataclass(slots=True)
+class EpochResult:
+    """One epoch's evaluation.
+
+    Attributes:
+        epoch: Which.
+        trial: Training trials when its first ball was reported.
+        balls: Evaluation trials so far.
+        successes: Of them, by criterion.
+        last_seen: When the last one was counted, monotonic [s].
+        closed: Whether it was handed out as finished.
+    """
+
+    epoch: int
+    trial: int
+    balls: int = 0
+    successes: Counter[str] = field(default_factory=Counter)
+    last_seen: float = 0.0
+    closed: bool = False
+
+    def rate(self, criterion: str) -> float:
+        """Share of balls that met the criterion."""
+        return self.successes[criterion] / self.balls
+
+    def interval(self, criterion: str) -> tuple[float, float]:
+        """95 % confidence interval of the rate."""
+        return wilson_interval(self.successes[criterion], self.balls)
+
+
+@final
+class Progress:
+    """Counts trials; each must be given once, in the order of seq.
+
+    Attributes:
+        seq: Log position of the newest.
+        trials: Training trials (kinds trial and failed).
+        epoch: The epoch that training trials belong to now.
+        kinds: Trials by kind.
+        workers: Trials by worker.
+        reasons: Training trials by how they ended.
+        criteria: Names of what counts as success, in order of appearance.
+        epochs: Evaluations by epoch.
+        window: The last 50 training trials.
+    """
+
+    def __init__(self) -> None:
+        self.seq = 0
+        self.trials = 0
+        self.epoch = 0
+        self.kinds: Counter[str] = Counter()
+        self.workers: Counter[str] = Counter()
+        self.reasons: Counter[str] = Counter()
+        self.criteria: list[str] = []
+        self.epochs: dict[int, EpochResult] = {}
+        self.window = Window(WINDOW)
+
+    def add(self, stored: StoredTrial, now: float) -> Row:
+        """Counts one trial.
+
+        Args:
+            stored: The trial; its seq is above all before.
+            now: Monotonic time [s].
+        """
+        trial, info = stored.trial, stored.trial.info
+        trains = trial.kind in ("trial", "failed")
+        self.seq = stored.seq
+        self.trials += trains
+        self.kinds[trial.kind] += 1
+        worker = _known(self.workers, trial.worker or "")
+        self.workers[worker] += 1
+        outcomes = self._outcomes(info, trial.success)
+        reason = _known(self.reasons, _reason(trial.kind, trial.success, info))
+        epoch = self._epoch(info)
+        if trial.kind == "evaluation":
+            self._evaluate(epoch, outcomes, now)
+        if not trains:
+            return Row(stored.seq, self.trials, epoch, trial.kind, worker, trial.cost, trial.success, reason, outcomes)
+        self.reasons[reason] += 1
+        self.window.add(trial.cost, outcomes, reason)
+        return Row(
+            stored.seq,
+            self.trials,
+            epoch,
+            trial.kind,
+            worker,
+            trial.cost,
+            trial.success,
+            reason,
+            outcomes,
+            self.window.mean_cost(),
+            {name: self.window.rate(name) or 0.0 for name in self.criteria},
+            {name: self.window.share(name) for name in self.reasons},
+        )
+
+    def finished_epochs(self, now: float) -> list[EpochResult]:
+        """Evaluations that became complete: as many balls as the one before, or no new ball for a while."""
+        finished = []
+        complete = 0
+        for result in sorted(self.epochs.values(), key=lambda result: result.epoch):
+            quiet = now - result.last_seen > QUIET_S
+            if not result.closed and (quiet or 0 < complete <= result.balls):
+                result.closed = True
+                finished.append(result)
+            complete = result.balls if result.closed else complete
+        return finished
+
+    def _epoch(self, info: Mapping[str, Any]) -> int:
+        given = info.get("epoch")
+        return given if type(given) is int and 0 <= given < 2**31 else self.epoch
+
+    def _evaluate(self, epoch: int, outcomes: Mapping[str, bool], now: float) -> None:
+        result = self.epochs.setdefault(epoch, EpochResult(epoch, self.trials))
+        result.balls += 1
+        result.successes.update(name for name, met in outcomes.items() if met)
+        result.last_seen = now
+        self.epoch = max(self.epoch, epoch + 1)
+
+    def _outcomes(self, info: Mapping[str, Any], success: bool) -> dict[str, bool]:
+        """Success by criterion; a skill that names none has the one called "success"."""
+        given = info.get("outcomes")
+        named = given.items() if isinstance(given, Mapping) else ()
+        outcomes = {name[:32]: met for name, met in named if isinstance(met, bool)} or {"success": success}
+        for name in outcomes:
+            if name not in self.criteria and len(self.criteria) < MAX_NAMES:
+                self.criteria.append(name)
+        return {name: met for name, met in outcomes.items() if name in self.criteria}
+
+
+def _known(names: Counter[str], name: str) -> str:
+    return name if name in names or len(names) < MAX_NAMES else "other"
+
+
+def _reason(kind: str, success: bool, info: Mapping[str, Any]) -> str:
+    given = info.get("reason")
+    if isinstance(given, str) and given:
+        return given[:48]
+    return "success" if success else "failed" if kind == "failed" else "no success"

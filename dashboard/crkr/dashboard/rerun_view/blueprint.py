@@ -1,0 +1,98 @@
+"""How the viewer's panels are arranged."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import rerun.blueprint as rrb
+
+__all__ = ["arrangement"]
+
+PATHS_SHOWN = 30  # trials whose paths stay in view
+
+
+def arrangement(eye: tuple[Sequence[float], Sequence[float]] | None) -> rrb.Blueprint:
+    """The layout, with the 3D view seen from `eye` (position, target) [m]."""
+    return rrb.Blueprint(
+        rrb.Vertical(
+            rrb.Horizontal(
+                _scene(eye),
+                rrb.Vertical(_success(), rrb.Tabs(_cost(), _reasons(), active_tab=0), row_shares=[1, 1]),
+                column_shares=[1.15, 1],
+            ),
+            rrb.Horizontal(
+                rrb.Tabs(_document("status", "Status"), _log(), active_tab=0),
+                _document("outcomes", "Outcomes"),
+                _exploration(),
+                rrb.Tabs(_learner(), _latency(), active_tab=0),
+                column_shares=[1.15, 0.85, 1, 1],
+            ),
+            row_shares=[1.7, 1],
+        ),
+        rrb.TimePanel(timeline="trial", play_state="following", state="collapsed"),
+        rrb.SelectionPanel(state="hidden"),
+        rrb.BlueprintPanel(state="hidden"),
+        auto_views=False,
+        auto_layout=False,
+    )
+
+
+def _scene(eye: tuple[Sequence[float], Sequence[float]] | None) -> rrb.Spatial3DView:
+    controls: dict[str, Any] = {}
+    if eye is not None:
+        controls["eye_controls"] = rrb.EyeControls3D(position=eye[0], look_target=eye[1], eye_up=[0, 0, 1])
+    newest = rrb.TimeRangeBoundary.cursor_relative()
+    return rrb.Spatial3DView(
+        origin="world",
+        name="Robots: the newest trial in real time, paths of the last 30",
+        background=[16, 20, 28],
+        line_grid=False,
+        time_ranges=[
+            rrb.VisibleTimeRange("trial", start=rrb.TimeRangeBoundary.cursor_relative(seq=-PATHS_SHOWN), end=newest),
+            rrb.VisibleTimeRange("epoch", start=newest, end=newest),
+        ],
+        **controls,
+    )
+
+
+def _series(name: str, *contents: str, share: bool = False, legend: str = "LeftTop") -> rrb.TimeSeriesView:
+    return rrb.TimeSeriesView(
+        origin="/",
+        contents=list(contents),
+        name=name,
+        plot_legend=getattr(rrb.Corner2D, legend),
+        axis_y=rrb.ScalarAxis(range=(-0.02, 1.02), zoom_lock=True) if share else None,
+    )
+
+
+def _success() -> rrb.TimeSeriesView:
+    return _series("Success by epoch", "+ /evaluation/**", "+ /training/**", share=True, legend="RightBottom")
+
+
+def _cost() -> rrb.TimeSeriesView:
+    return _series("Cost of each trial", "+ /cost/**", share=True, legend="RightTop")
+
+
+def _reasons() -> rrb.TimeSeriesView:
+    return _series("How trials end (share of the last 50)", "+ /reasons/**", share=True)
+
+
+def _exploration() -> rrb.TimeSeriesView:
+    return _series("Exploration", "+ /exploration/**", legend="RightTop")
+
+
+def _learner() -> rrb.TimeSeriesView:
+    return _series("Active set and samples", "+ /learner/**")
+
+
+def _latency() -> rrb.TimeSeriesView:
+    return _series("Latency [ms]", "+ /latency/**")
+
+
+def _document(entity: str, name: str) -> rrb.TextDocumentView:
+    return rrb.TextDocumentView(origin=f"/{entity}", name=name)
+
+
+def _log() -> rrb.TextLogView:
+    return rrb.TextLogView(origin="/log", name="Log")

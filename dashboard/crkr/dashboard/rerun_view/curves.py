@@ -1,0 +1,132 @@
+"""Numbers over the run, as rows of scalar entities that are sent in batches."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable, Mapping
+from statistics import median
+from typing import Any, final
+
+import rerun as rr
+
+from crkr.dashboard.facts import latency_ms
+from crkr.dashboard.progress import EpochResult, Progress, Row
+from crkr.dashboard.rerun_view.colours import CRITERIA, FAILURE, LINES, NEUTRAL, SUCCESS, shade
+from crkr.dashboard.rerun_view.recording import Recording
+from crkr.dashboard.telemetry import Telemetry
+
+__all__ = ["Curves"]
+
+Path = tuple[str, ...]
+
+
+@final
+class Curves:
+    """Collects numbers and sends those of each entity at once.
+
+    Args:
+        recording: Where to.
+    """
+
+    def __init__(self, recording: Recording) -> None:
+        self._recording = recording
+        self._styled: set[Path] = set()
+        self._rows: dict[Path, list[tuple[int, int, float]]] = defaultdict(list)
+        self._durations: dict[str, list[float]] = defaultdict(list)
+        self._last_status_trial = -1
+
+    def trials(self, rows: Iterable[Row]) -> None:
+        """Cost, running success and running reasons of training trials."""
+        for row in rows:
+            if row.kind not in ("trial", "failed"):
+                continue
+            if row.cost is not None:
+                met = "success" if row.success else "no success"
+                self._point(("cost", met), row, row.cost, SUCCESS if row.success else FAILURE, met)
+            if row.mean_cost is not None:
+                self._line(("cost", "mean"), row, row.mean_cost, 0xFFFFFFFF, "mean of 50")
+            for index, (name, rate) in enumerate(row.rates.items()):
+                colour = shade(CRITERIA[index % len(CRITERIA)], 0.45)
+                self._line(("training", name), row, rate, colour, f"{name}, exploring", 1.0)
+            for index, (name, share) in enumerate(row.shares.items()):
+                self._line(("reasons", name), row, share, LINES[index % len(LINES)], name)
+
+    def picture(self, row: Row, telemetry: Telemetry) -> None:
+        """Width and novelty of the goal that was tried, and how long it took."""
+        if row.kind not in ("trial", "failed"):
+            return
+        if telemetry.sigma_mean is not None:
+            self._line(("exploration", "sigma"), row, telemetry.sigma_mean, LINES[0], "mean sigma / scale")
+        if telemetry.novelty is not None:
+            self._line(("exploration", "novelty"), row, telemetry.novelty, LINES[1], "novelty")
+        for name, duration in telemetry.timing_ms.items():
+            self._durations[name].append(duration)
+
+    def epoch(self, result: EpochResult, progress: Progress) -> None:
+        """Success of one evaluation with its 95 % interval."""
+        times = {"trial": result.trial, "epoch": result.epoch}
+        for index, name in enumerate(progress.criteria):
+            colour = CRITERIA[index % len(CRITERIA)]
+            low, high = result.interval(name)
+            # The band is one standard deviation wide on each side of its middle, which is not quite the rate.
+            band = rr.Measurements(
+                (low + high) / 2,
+                variances=((high - low) / 2) ** 2,
+                colors=shade(colour, 0.35),
+                widths=0.3,
+                names=f"{name}, 95 %",
+            )
+            self._recording.at(times, ("evaluation", name, "interval"), band)
+            self._append(
+                ("evaluation", name, "rate"),
+                times["trial"],
+                times["epoch"],
+                result.rate(name),
+                rr.SeriesLines(colors=colour, names=name, widths=2.5),
+            )
+
+    def status(self, status: Mapping[str, Any], progress: Progress) -> None:
+        """Active set and samples, and the server's own latency."""
+        if progress.trials == self._last_status_trial:
+            return
+        self._last_status_trial = progress.trials
+        for name, colour in (("eligible", NEUTRAL), ("active", LINES[3])):
+            value = status.get(name)
+            if isinstance(value, int | float):
+                style = rr.SeriesLines(colors=colour, names=name, widths=2.0)
+                self._append(("learner", name), progress.trials, progress.epoch, float(value), style)
+        served = latency_ms(status)
+        for verb, colour in (("predict", LINES[4]), ("report", LINES[5])):
+            if verb in served:
+                style = rr.SeriesLines(colors=colour, names=f"server: {verb}, p99")
+                self._append(("latency", f"server {verb}"), progress.trials, progress.epoch, served[verb][1], style)
+
+    def flush(self, progress: Progress) -> None:
+        """Sends what was collected."""
+        for index, (name, durations) in enumerate(sorted(self._durations.items())):
+            style = rr.SeriesLines(colors=LINES[index % len(LINES)], names=f"worker: {name}", widths=1.5)
+            self._append(("latency", f"worker {name}"), progress.trials, progress.epoch, median(durations), style)
+        self._durations.clear()
+        for path, rows in self._rows.items():
+            self._recording.columns(
+                path,
+                [
+                    rr.TimeColumn("trial", sequence=[trial for trial, _, _ in rows]),
+                    rr.TimeColumn("epoch", sequence=[epoch for _, epoch, _ in rows]),
+                ],
+                rr.Scalars.columns(scalars=[value for _, _, value in rows]),
+            )
+        self._rows.clear()
+
+    def _line(self, path: Path, row: Row, value: float, colour: int, name: str, width: float = 1.5) -> None:
+        self._append(path, row.trial, row.epoch, value, rr.SeriesLines(colors=colour, names=name, widths=width))
+
+    def _point(self, path: Path, row: Row, value: float, colour: int, name: str) -> None:
+        style = rr.SeriesPoints(colors=colour, names=name, markers="circle", marker_sizes=1.8)
+        self._append(path, row.trial, row.epoch, value, style)
+
+    def _append(self, path: Path, trial: int, epoch: int, value: float, style: Any) -> None:
+        if path not in self._styled:
+            self._styled.add(path)
+            self._recording.fixed(path, style)
+        self._rows[path].append((trial, epoch, value))

@@ -1,0 +1,121 @@
+"""The view that speaks Rerun."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Mapping, Sequence
+from typing import Any, Final, final
+
+import rerun as rr
+
+from crkr.dashboard.progress import EpochResult, Progress, Row
+from crkr.dashboard.rerun_view.blueprint import arrangement
+from crkr.dashboard.rerun_view.curves import Curves
+from crkr.dashboard.rerun_view.documents import outcomes_page, status_page
+from crkr.dashboard.rerun_view.recording import Recording
+from crkr.dashboard.rerun_view.stage import Stage
+from crkr.dashboard.telemetry import Telemetry
+
+__all__ = ["RerunDisplay"]
+
+NUMBERS_EVERY_S: Final = 0.5  # small chunks cost a viewer far more than what they hold
+PAGES_EVERY_S: Final = 1.0
+SCENE_PATIENCE_S: Final = 5.0  # a skill without a scene gets its layout after so long
+
+
+@final
+class RerunDisplay:
+    """Logs a run to Rerun; implements `View`.
+
+    Args:
+        recording: Where to.
+        task: The task's name.
+    """
+
+    def __init__(self, recording: Recording, task: str) -> None:
+        self._recording = recording
+        self._task = task
+        self._stage = Stage(recording)
+        self._curves = Curves(recording)
+        self._status: Mapping[str, Any] = {}
+        self._arranged = False
+        self._first_tick: float | None = None
+        self._next_numbers = self._next_pages = 0.0
+        self._pages: dict[str, str] = {}
+        self._speed: deque[tuple[float, int]] = deque(maxlen=10)
+        self._times: dict[str, int] = {"trial": 0, "epoch": 0}
+
+    def trials(self, rows: Sequence[Row], progress: Progress) -> None:
+        """Adds points to the curves."""
+        self._note_times(progress)
+        self._curves.trials(rows)
+
+    def picture(self, row: Row, telemetry: Telemetry) -> None:
+        """Puts a trial on the stage."""
+        self._stage.picture(row, telemetry)
+        self._curves.picture(row, telemetry)
+
+    def epoch(self, result: EpochResult, progress: Progress) -> None:
+        """Adds a point to the learning curve."""
+        self._curves.epoch(result, progress)
+        rates = ", ".join(
+            f"{name} {result.rate(name):.2f} [{result.interval(name)[0]:.2f}, {result.interval(name)[1]:.2f}]"
+            for name in progress.criteria
+        )
+        self.say(f"epoch {result.epoch}: {rates} of {result.balls} evaluation trials")
+
+    def status(self, status: Mapping[str, Any], progress: Progress) -> None:
+        """Keeps the status for the next page."""
+        self._note_times(progress)
+        self._status = status
+        self._curves.status(status, progress)
+
+    def say(self, message: str, *, warning: bool = False) -> None:
+        """Adds a line to the log panel."""
+        level = rr.TextLogLevel.WARN if warning else rr.TextLogLevel.INFO
+        self._recording.at(self._times, ["log"], rr.TextLog(message, level=level))
+
+    def tick(self, now: float, progress: Progress) -> None:
+        """Sends what is due."""
+        self._first_tick = now if self._first_tick is None else self._first_tick
+        self._arrange(now)
+        self._stage.tick(now)
+        if now >= self._next_numbers:
+            self._next_numbers = now + NUMBERS_EVERY_S
+            self._curves.flush(progress)
+        if now >= self._next_pages:
+            self._next_pages = now + PAGES_EVERY_S
+            self._speed.append((now, progress.trials))
+            self._write_pages(progress)
+
+    def finish(self, progress: Progress) -> None:
+        """Sends everything that is still here."""
+        self.tick(time.monotonic(), progress)
+        self._curves.flush(progress)
+        self._write_pages(progress)
+
+    def _note_times(self, progress: Progress) -> None:
+        self._times = {"trial": progress.trials, "epoch": progress.epoch}
+
+    def _arrange(self, now: float) -> None:
+        """Once, as soon as there is something to look at: a second time would undo what the viewer's user changed."""
+        patience_over = self._first_tick is not None and now - self._first_tick > SCENE_PATIENCE_S
+        if self._arranged or not (self._stage.has_scene or (patience_over and self._times["trial"])):
+            return
+        self._arranged = True
+        workers = self._status.get("workers")
+        self._recording.layout(arrangement(self._stage.eye(len(workers) if isinstance(workers, list) else 1)))
+
+    def _write_pages(self, progress: Progress) -> None:
+        (start, before), (end, after) = self._speed[0], self._speed[-1]
+        speed = (after - before) / (end - start) if end > start else 0.0
+        pages = {
+            "status": status_page(self._task, self._status, progress, speed),
+            "outcomes": outcomes_page(progress),
+        }
+        for name, text in pages.items():
+            if self._pages.get(name) != text:
+                self._pages[name] = text
+                page = rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)
+                self._recording.at(self._times, [name], page)

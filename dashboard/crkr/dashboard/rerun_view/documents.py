@@ -1,0 +1,72 @@
+"""The text panels, as markdown."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from crkr.dashboard.facts import latency_ms, percent, reason_rows, worker_rows
+from crkr.dashboard.progress import Progress
+
+__all__ = ["outcomes_page", "status_page"]
+
+
+def status_page(task: str, status: Mapping[str, Any], progress: Progress, trials_per_second: float) -> str:
+    """The run in numbers."""
+    newest = max((result for result in progress.epochs.values() if result.closed), default=None, key=lambda r: r.epoch)
+    kinds = progress.kinds
+    lines = [
+        f"## {_plain(task)}",
+        f"**{progress.trials}** trials, epoch **{progress.epoch}**, **{trials_per_second:.1f}** trials/s",
+        "",
+    ]
+    if newest is not None:
+        rates = ", ".join(f"{_plain(name)} **{percent(newest.rate(name))}**" for name in progress.criteria)
+        lines += [f"Evaluation {newest.epoch} ({newest.balls} trials): {rates}", ""]
+    lines += [
+        f"Active set **{_number(status.get('active'))}** of {_number(status.get('eligible'))} eligible samples; "
+        f"{kinds['demonstration']} demonstrations, {kinds['evaluation']} evaluation trials, {kinds['failed']} failed",
+        "",
+        *_table(
+            ("worker", "state", "trials", "last heard"),
+            [
+                (worker.name, worker.state, worker.trials, "" if worker.quiet_s is None else f"{worker.quiet_s:.0f} s")
+                for worker in worker_rows(status, progress)[:16]
+            ],
+        ),
+        "",
+        *_table(
+            ("server", "median", "p99"),
+            [(verb, f"{p50:.2f} ms", f"{p99:.2f} ms") for verb, (p50, p99) in sorted(latency_ms(status).items())],
+        ),
+    ]
+    return "\n".join(lines)
+
+
+def outcomes_page(progress: Progress) -> str:
+    """How training trials ended."""
+    rows = [(reason, count, percent(share), percent(lately)) for reason, count, share, lately in reason_rows(progress)]
+    if not rows:
+        return "No training trial yet."
+    return "\n".join(_table(("how trials end", "count", "share", "last 50"), rows))
+
+
+def _table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> list[str]:
+    if not rows:
+        return []
+    cells = [[_plain(str(cell)) for cell in row] for row in rows]
+    return [
+        "| " + " | ".join(head) + " |",
+        "|" + "|".join([":---", *["---:"] * (len(head) - 1)]) + "|",
+        *("| " + " | ".join(row) + " |" for row in cells),
+    ]
+
+
+def _plain(text: str) -> str:
+    """Text from elsewhere without what markdown would read as markup."""
+    return re.sub(r"([\\`*_{}\[\]<>()#|!~])", r"\\\1", " ".join(text.split()))
+
+
+def _number(value: object) -> str:
+    return f"{value}" if isinstance(value, int | float) else "?"

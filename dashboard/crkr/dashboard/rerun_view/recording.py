@@ -1,0 +1,77 @@
+"""The one logger to Rerun: a stream that serves viewers on this machine and, if asked, writes a file beside it."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final, final
+
+import rerun as rr
+import rerun.blueprint as rrb
+
+__all__ = ["APPLICATION", "Recording"]
+
+_logger = logging.getLogger(__name__)
+APPLICATION: Final = "crkr"  # the viewer keeps a user's layout by it; a run is a recording within it
+FLUSH_EVERY_S: Final = 0.2
+
+
+@final
+class Recording:
+    """One run in Rerun's words; to be used from one thread.
+
+    A viewer that is slow, stopped or gone never holds it up: it serves viewers and is not a client of one. Only closing
+    can take time, which `close` bounds.
+
+    Args:
+        address: (host, port) to serve viewers on, or None.
+        save: File to write, or None.
+        memory_limit: What is kept for viewers that come later, e.g. "512MiB"; the oldest goes first.
+    """
+
+    def __init__(self, address: tuple[str, int] | None, save: Path | None, memory_limit: str = "512MiB") -> None:
+        sinks: list[Any] = []
+        if address is not None:
+            sinks.append(rr.GrpcServerSink(*address, server_memory_limit=memory_limit))
+        if save is not None:
+            sinks.append(rr.FileSink(str(save)))
+        batching = rr.ChunkBatcherConfig(flush_tick=FLUSH_EVERY_S)
+        self._stream = rr.RecordingStream(APPLICATION, batcher_config=batching)
+        if sinks:
+            self._stream.set_sinks(*sinks)
+
+    def fixed(self, path: Sequence[str], *content: Any) -> None:
+        """Logs what holds at all times."""
+        self._stream.log(list(path), *content, static=True)
+
+    def at(self, times: Mapping[str, int], path: Sequence[str], *content: Any) -> None:
+        """Logs something at a moment of the timelines "trial" and "epoch"."""
+        self._stream.reset_time()
+        for name, value in times.items():
+            self._stream.set_time(name, sequence=value)
+        self._stream.log(list(path), *content)
+
+    def columns(self, path: Sequence[str], times: Iterable[rr.TimeColumn], content: Iterable[Any]) -> None:
+        """Logs many moments at once."""
+        self._stream.send_columns(rr.new_entity_path(list(path)), indexes=times, columns=content)
+
+    def layout(self, blueprint: rrb.Blueprint) -> None:
+        """Arranges the viewers; a second time would undo what their users changed."""
+        self._stream.send_blueprint(blueprint, make_active=True, make_default=True)
+
+    def close(self, within_s: float) -> bool:
+        """Writes out what is buffered and ends the file; returns whether it was done in time."""
+
+        def finish() -> None:
+            try:
+                self._stream.flush(timeout_sec=within_s)
+            except (RuntimeError, ValueError) as error:  # a viewer did not take its part; the file is written next
+                _logger.warning("the recording's last data may not have reached every viewer: %s", error)
+            self._stream.disconnect()
+
+        thread = threading.Thread(target=finish, name="crkr-recording", daemon=True)
+        thread.start()
+        thread.join(timeout=within_s)
+        return not thread.is_alive()

@@ -1,0 +1,182 @@
+"""The robots in 3D: every trial's paths, and one trial at a time of each worker in real time.
+
+Workers finish trials faster than they could be watched. All paths are drawn, coloured by success; of the poses only
+those of the newest trial when the one before has been played. Poses of all bodies go out as rows of one entity per
+worker, which names the moved frame in each row: a chunk per worker and tick instead of one per body.
+
+    world/<worker>                    where its world stands, static
+    world/<worker>/shapes/<body>/...  shapes, static, each in the frame "<worker>/<body>"
+    world/<worker>/motion             transforms of those frames
+    world/<worker>/paths/<name>       one line per trial
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, Final, final
+
+import numpy as np
+import rerun as rr
+
+from crkr.dashboard.progress import Row
+from crkr.dashboard.rerun_view.colours import FAILURE, SUCCESS
+from crkr.dashboard.rerun_view.places import eye, offset
+from crkr.dashboard.rerun_view.recording import Recording
+from crkr.dashboard.rerun_view.shapes import bounds, shapes_by_body
+from crkr.dashboard.telemetry import Telemetry
+from crkr.protocol import Geom, Trace
+
+__all__ = ["Stage"]
+
+MAX_WORKERS: Final = 64
+PATH_RADIUS: Final = -0.7  # negative: Rerun's points on the screen, whatever the distance
+HOLD_S: Final = 0.3  # the last pose of a trial stays so long
+NO_SCENE: Final = (np.array([-1.0, -1.0, 0.0]), np.array([1.0, 1.0, 1.0]))
+
+
+@final
+@dataclass(slots=True)
+class _World:
+    """One worker's part of the stage."""
+
+    name: str
+    index: int
+    scene: tuple[Geom, ...] = ()
+    markers: set[str] = field(default_factory=set)
+    waiting: tuple[Row, Trace] | None = None
+    playing: tuple[Row, Trace] | None = None
+    started: float = 0.0
+    sent: int = 0
+    paths: dict[str, list[tuple[Row, Any]]] = field(default_factory=dict)
+
+
+@final
+class Stage:
+    """Draws what the workers publish.
+
+    Args:
+        recording: Where to.
+    """
+
+    def __init__(self, recording: Recording) -> None:
+        self._recording = recording
+        self._worlds: dict[str, _World] = {}
+        self._bounds = NO_SCENE
+        recording.fixed(["world"], rr.ViewCoordinates.RIGHT_HAND_Z_UP)
+
+    @property
+    def has_scene(self) -> bool:
+        """Whether any worker has said what its world looks like."""
+        return any(world.scene for world in self._worlds.values())
+
+    def eye(self, count: int) -> tuple[Any, Any]:
+        """A good place to see the first `count` workers from: position and target (3,) [m]."""
+        return eye(max(count, len(self._worlds), 1), *self._bounds)
+
+    def picture(self, row: Row, telemetry: Telemetry) -> None:
+        """Takes in what a worker published about a trial."""
+        world = self._world(telemetry.worker)
+        if world is None:
+            return
+        if telemetry.scene is not None and telemetry.scene != world.scene:
+            self._draw_scene(world, telemetry.scene)
+        if telemetry.trace is not None:
+            world.waiting = (row, telemetry.trace)
+            for name, path in telemetry.trace.paths.items():
+                world.paths.setdefault(name, []).append((row, path))
+
+    def tick(self, now: float) -> None:
+        """Draws the new paths and moves the robots to where they were at `now`, monotonic [s]."""
+        for world in self._worlds.values():
+            self._draw_paths(world)
+            self._play(world, now)
+
+    def _world(self, worker: str) -> _World | None:
+        if worker not in self._worlds and len(self._worlds) < MAX_WORKERS:
+            world = _World(worker, len(self._worlds))
+            self._worlds[worker] = world
+            self._place(world)
+        return self._worlds.get(worker)
+
+    def _place(self, world: _World) -> None:
+        """The worker's frame; shapes, paths and poses hang on it, whatever characters its name has."""
+        self._recording.fixed(
+            ["world", world.name],
+            rr.Transform3D(
+                translation=offset(world.index, *self._bounds), parent_frame="tf#/world", child_frame=world.name
+            ),
+        )
+
+    def _draw_scene(self, world: _World, scene: tuple[Geom, ...]) -> None:
+        first = not self.has_scene
+        world.scene = scene
+        if first:
+            self._bounds = bounds(scene)
+            for other in self._worlds.values():
+                self._place(other)
+        for body, kind, archetype in shapes_by_body(scene):
+            frame = world.name if body == "world" else f"{world.name}/{body}"
+            self._recording.fixed(["world", world.name, "shapes", body, kind], archetype, rr.CoordinateFrame(frame))
+
+    def _draw_paths(self, world: _World) -> None:
+        for name, paths in world.paths.items():
+            if not paths:
+                continue
+            where = ["world", world.name, "paths", name]
+            if name not in world.markers:
+                world.markers.add(name)
+                self._recording.fixed(where, rr.CoordinateFrame(world.name))
+            self._recording.columns(
+                where,
+                _times([row for row, _ in paths]),
+                rr.LineStrips3D.columns(
+                    strips=[[path] for _, path in paths],
+                    colors=[SUCCESS if row.success else FAILURE for row, _ in paths],
+                    radii=[PATH_RADIUS] * len(paths),
+                ),
+            )
+            paths.clear()
+
+    def _play(self, world: _World, now: float) -> None:
+        if world.playing is None and world.waiting is not None:
+            world.playing, world.waiting, world.started, world.sent = world.waiting, None, now, 0
+        if world.playing is None:
+            return
+        row, trace = world.playing
+        elapsed = now - world.started
+        until = int(np.searchsorted(trace.time - trace.time[0], elapsed, side="right"))
+        if until > world.sent:
+            self._move(world, row, trace, slice(world.sent, until))
+            world.sent = until
+        if elapsed > trace.time[-1] - trace.time[0] + HOLD_S:
+            world.playing = None
+
+    def _move(self, world: _World, row: Row, trace: Trace, steps: slice) -> None:
+        count, bodies = len(trace.time[steps]), trace.bodies
+        points = {name: path for name, path in trace.paths.items() if name not in bodies}
+        names = [*bodies, *points]
+        if not names:
+            return
+        still = np.broadcast_to([0.0, 0.0, 0.0, 1.0], (count, len(points), 4))
+        positions = [trace.positions[steps], *(path[steps, None, :] for path in points.values())]
+        rows = count * len(names)
+        self._recording.columns(
+            ["world", world.name, "motion"],
+            [
+                *_times([row] * rows),
+                rr.TimeColumn("trial_time", duration=np.repeat(trace.time[steps], len(names))),
+            ],
+            rr.Transform3D.columns(
+                translation=np.concatenate(positions, axis=1).reshape(rows, 3),
+                quaternion=np.concatenate([trace.quaternions[steps], still], axis=1).reshape(rows, 4),
+                parent_frame=[world.name] * rows,
+                child_frame=[f"{world.name}/{name}" for name in names] * count,
+            ),
+        )
+
+
+def _times(rows: list[Row]) -> list[rr.TimeColumn]:
+    return [
+        rr.TimeColumn("trial", sequence=[row.trial for row in rows]),
+        rr.TimeColumn("epoch", sequence=[row.epoch for row in rows]),
+    ]

@@ -1,0 +1,161 @@
+"""The display for a terminal: tables that renew themselves, or a line now and then where nobody watches."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Mapping, Sequence
+from types import TracebackType
+from typing import Any, Final, final
+
+from rich.columns import Columns
+from rich.console import Console, Group, RenderableType
+from rich.live import Live
+from rich.panel import Panel
+from rich.table import Table
+from rich.text import Text
+
+from crkr.dashboard.facts import latency_ms, percent, reason_rows, worker_rows
+from crkr.dashboard.progress import EpochResult, Progress, Row
+from crkr.dashboard.telemetry import Telemetry
+
+__all__ = ["TerminalDisplay", "sparkline"]
+
+BARS: Final = "▁▂▃▄▅▆▇█"
+LINE_EVERY_S: Final = 5.0
+RENEW_EVERY_S: Final = 0.5
+MESSAGES: Final = 5
+
+
+def sparkline(shares: Sequence[float], width: int = 40) -> str:
+    """Shares in [0, 1] as bars, the newest `width` of them."""
+    return "".join(BARS[min(len(BARS) - 1, int(len(BARS) * max(share, 0.0)))] for share in shares[-width:])
+
+
+@final
+class TerminalDisplay:
+    """Shows a run as text; implements `View`, to be used as a context manager.
+
+    Args:
+        console: Where to.
+        task: The task's name.
+    """
+
+    def __init__(self, console: Console, task: str) -> None:
+        self._console = console
+        self._task = task
+        self._live = Live(console=console, auto_refresh=False, transient=False) if console.is_terminal else None
+        self._status: Mapping[str, Any] = {}
+        self._messages: deque[str] = deque(maxlen=MESSAGES)
+        self._speed: deque[tuple[float, int]] = deque(maxlen=20)
+        self._next = 0.0
+        self._said = -1
+
+    def __enter__(self) -> TerminalDisplay:
+        if self._live is not None:
+            self._live.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._live is not None:
+            self._live.stop()
+
+    def trials(self, rows: Sequence[Row], progress: Progress) -> None:
+        """Counted already."""
+
+    def picture(self, row: Row, telemetry: Telemetry) -> None:
+        """A terminal has no use for poses."""
+
+    def epoch(self, result: EpochResult, progress: Progress) -> None:
+        """Says how an evaluation went."""
+        rates = ", ".join(f"{name} {result.rate(name):.2f}" for name in progress.criteria)
+        self.say(f"epoch {result.epoch}: {rates} of {result.balls} evaluation trials")
+
+    def status(self, status: Mapping[str, Any], progress: Progress) -> None:
+        """Keeps the status for the next refresh."""
+        del progress  # every refresh is given it
+        self._status = status
+
+    def say(self, message: str, *, warning: bool = False) -> None:
+        """A line beneath the tables, or on its own."""
+        line = f"warning: {message}" if warning else message
+        self._messages.append(line)
+        if self._live is None:
+            self._console.print(line)
+
+    def tick(self, now: float, progress: Progress) -> None:
+        """Renews the tables, or prints a line when there is something new."""
+        if now < self._next:
+            return
+        self._speed.append((now, progress.trials))
+        if self._live is not None:
+            self._next = now + RENEW_EVERY_S
+            self._live.update(self.page(progress), refresh=True)
+        elif progress.seq != self._said:
+            self._next = now + LINE_EVERY_S
+            self._said = progress.seq
+            self._console.print(self._line(progress))
+
+    def finish(self, progress: Progress) -> None:
+        """Shows the end of the run."""
+        self._next = 0.0
+        self._said = -1
+        self.tick(time.monotonic(), progress)
+
+    def page(self, progress: Progress) -> RenderableType:
+        """All tables."""
+        tables = [self._success(progress), self._reasons(progress), self._workers(progress), self._server()]
+        shown = [table for table in tables if table.row_count]
+        head = Text(self._line(progress), style="bold")
+        return Panel(
+            Group(head, Text(), Columns(shown, padding=(0, 3)), *map(Text, self._messages)),
+            title=f"crkr watch {self._task}",
+            title_align="left",
+        )
+
+    def _line(self, progress: Progress) -> str:
+        (start, before), (end, after) = self._speed[0], self._speed[-1]
+        speed = (after - before) / (end - start) if end > start else 0.0
+        status = self._status
+        success = ", ".join(f"{name} {percent(progress.window.rate(name))}" for name in progress.criteria)
+        return (
+            f"trials {progress.trials}  {speed:.1f}/s  epoch {progress.epoch}  "
+            f"active {status.get('active', '-')} of {status.get('eligible', '-')}"
+            + (f"  last 50: {success}" if len(progress.window) else "")
+        )
+
+    def _success(self, progress: Progress) -> Table:
+        table = Table("evaluation", "by epoch", "first", "newest", "95 %", title_justify="left")
+        results = sorted((r for r in progress.epochs.values() if r.closed), key=lambda result: result.epoch)
+        for name in progress.criteria if results else ():
+            rates = [result.rate(name) for result in results]
+            low, high = results[-1].interval(name)
+            table.add_row(
+                Text(name),
+                sparkline(rates),
+                percent(rates[0]),
+                percent(rates[-1]),
+                f"{100 * low:.0f} - {100 * high:.0f} %",
+            )
+        return table
+
+    def _reasons(self, progress: Progress) -> Table:
+        table = Table("how trials end", "count", "share", "last 50")
+        for reason, count, share, lately in reason_rows(progress)[:12]:
+            table.add_row(Text(reason), str(count), percent(share), percent(lately))
+        return table
+
+    def _workers(self, progress: Progress) -> Table:
+        table = Table("worker", "state", "trials", "last heard")
+        for worker in worker_rows(self._status, progress)[:12]:
+            quiet = "" if worker.quiet_s is None else f"{worker.quiet_s:.0f} s"
+            table.add_row(Text(worker.name), worker.state, str(worker.trials), quiet)
+        return table
+
+    def _server(self) -> Table:
+        table = Table("server", "median", "p99")
+        for verb, (p50, p99) in sorted(latency_ms(self._status).items()):
+            table.add_row(Text(verb), f"{p50:.2f} ms", f"{p99:.2f} ms")
+        return table

@@ -1,0 +1,39 @@
+"""What a display is told, whichever it is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol
+
+from crkr.dashboard.progress import EpochResult, Progress, Row
+from crkr.dashboard.telemetry import Telemetry
+
+__all__ = ["View"]
+
+
+class View(Protocol):
+    """A display. It is called from one thread and must not wait."""
+
+    def trials(self, rows: Sequence[Row], progress: Progress) -> None:
+        """New trials of the log, in order."""
+        ...
+
+    def picture(self, row: Row, telemetry: Telemetry) -> None:
+        """What a worker published about a trial that was told before."""
+        ...
+
+    def epoch(self, result: EpochResult, progress: Progress) -> None:
+        """An evaluation is complete."""
+        ...
+
+    def status(self, status: Mapping[str, Any], progress: Progress) -> None:
+        """The server's answer to `status`."""
+        ...
+
+    def say(self, message: str, *, warning: bool = False) -> None:
+        """One line for people."""
+        ...
+
+    def tick(self, now: float, progress: Progress) -> None:
+        """Time passed; `now` is monotonic [s]."""
+        ...

@@ -1,0 +1,178 @@
+"""Rerun's viewer as a child process: its web page on loopback, or its window."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import logging
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+import urllib.error
+import urllib.request
+from pathlib import Path
+from types import TracebackType
+from typing import Final, final
+from urllib.parse import quote
+
+from crkr.protocol import Invalid, Unavailable
+
+__all__ = ["Viewer", "page_address", "stream_address"]
+
+_logger = logging.getLogger(__name__)
+READY_S: Final = 20.0
+ENDS_S: Final = 1.0
+
+# Asks Linux to end the child should this process be killed, and becomes the child: no viewer is left behind.
+_TIED: Final = (
+    "import ctypes, os, sys\n"
+    "if sys.platform == 'linux': ctypes.CDLL(None).prctl(1, 15)\n"
+    "os.getppid() == int(sys.argv[1]) and os.execv(sys.argv[2], sys.argv[2:])\n"
+)
+
+
+def stream_address(host: str, port: int) -> str:
+    """Where a viewer finds the recording."""
+    return f"rerun+http://{host}:{port}/proxy"
+
+
+def page_address(host: str, web_port: int, port: int) -> str:
+    """What to open in a browser."""
+    stream = quote(stream_address(host, port), safe="")
+    return f"http://{host}:{web_port}/?url={stream}&hide_welcome_screen=1&persist=0"
+
+
+@final
+class Viewer:
+    """A child process that is gone when this context ends.
+
+    Its usage statistics are switched off for it; the page that it serves decides for itself in the browser.
+    """
+
+    def __init__(self, arguments: list[str]) -> None:
+        self._home = tempfile.TemporaryDirectory(prefix="crkr-viewer-")
+        self._log = Path(self._home.name) / "viewer.log"
+        with self._log.open("wb") as log:
+            self._process = subprocess.Popen(
+                [sys.executable, "-c", _TIED, str(os.getpid()), _binary(), *arguments],
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=log,
+                env=_environment(Path(self._home.name)),
+                start_new_session=True,  # Ctrl-C is ours: the child ends when the recording is complete
+            )
+
+    @classmethod
+    def web(cls, bind: str, host: str, web_port: int, stream: str) -> Viewer:
+        """Serves the viewer's page; returns when it answers.
+
+        Args:
+            bind: Address to serve it on.
+            host: The same as a browser on this machine calls it.
+            web_port: Port to serve it on.
+            stream: Where the recording is.
+
+        Raises:
+            Unavailable: It does not answer.
+        """
+        viewer = cls(["--serve-web", "--bind", bind, "--web-viewer-port", str(web_port), stream])
+        try:
+            viewer._wait_for(f"http://{host}:{web_port}/")
+        except BaseException:
+            viewer.close()
+            raise
+        return viewer
+
+    @classmethod
+    def native(cls, stream: str, own_port: int) -> Viewer:
+        """Opens the viewer's window; `own_port` is one that it insists on listening on.
+
+        Raises:
+            Invalid: There is no display.
+        """
+        if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+            raise Invalid("--native needs a display, and there is none here; use --web or --terminal")
+        return cls(["--bind", "127.0.0.1", "--port", str(own_port), "--connect", stream])
+
+    @property
+    def pid(self) -> int:
+        """The process."""
+        return self._process.pid
+
+    @property
+    def is_running(self) -> bool:
+        """Whether it has not ended."""
+        return self._process.poll() is None
+
+    def complaint(self) -> str:
+        """The last line of its log."""
+        lines = self._log.read_text(errors="replace").strip().splitlines()
+        return lines[-1] if lines else "no output"
+
+    def close(self) -> None:
+        """Ends it."""
+        if self.is_running:
+            self._process.send_signal(signal.SIGTERM)
+            try:
+                self._process.wait(ENDS_S)
+            except subprocess.TimeoutExpired:
+                _logger.warning("the viewer (process %d) does not end; killed", self.pid)
+                self._process.kill()
+                self._process.wait(ENDS_S)
+        self._home.cleanup()
+
+    def __enter__(self) -> Viewer:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _wait_for(self, address: str) -> None:
+        deadline = time.monotonic() + READY_S
+        while time.monotonic() < deadline:
+            if not self.is_running:
+                raise Unavailable(f"the viewer ended at once: {self.complaint()}")
+            try:
+                with urllib.request.urlopen(address, timeout=1.0):  # an http address of our own on loopback
+                    return
+            except (urllib.error.URLError, OSError):
+                try:
+                    self._process.wait(0.05)
+                except subprocess.TimeoutExpired:
+                    continue
+        raise Unavailable(f"the viewer's page at {address} did not answer within {READY_S:.0f} s: {self.complaint()}")
+
+
+def _binary() -> str:
+    """The viewer itself: the `rerun` script is a wrapper, and ending that would leave the viewer running.
+
+    Raises:
+        ModuleNotFoundError: Rerun is not installed.
+    """
+    package = importlib.util.find_spec("rerun_cli")
+    if package is None or package.origin is None:
+        raise ModuleNotFoundError("No module named 'rerun'", name="rerun")
+    return str(Path(package.origin).with_name("rerun.exe" if sys.platform == "win32" else "rerun"))
+
+
+def _environment(home: Path) -> dict[str, str]:
+    """The child's environment: its settings are ours for the time being, with usage statistics off."""
+    settings = home / "rerun" / "analytics.json"
+    settings.parent.mkdir()
+    settings.write_text(
+        json.dumps(
+            {
+                "analytics_enabled": False,
+                "analytics_id": "none",
+                "metadata": {},
+                "config_file_path": str(settings),
+                "data_dir_path": str(home / "data"),
+            }
+        )
+    )
+    return {**os.environ, "XDG_CONFIG_HOME": str(home), "NO_COLOR": "1"}

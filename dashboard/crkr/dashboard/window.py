@@ -1,0 +1,50 @@
+"""Means over the newest training trials."""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Mapping
+from typing import final
+
+__all__ = ["Window"]
+
+
+@final
+class Window:
+    """Costs, outcomes and reasons of the newest `size` trials; adding one costs the same however many there were.
+
+    Attributes:
+        reasons: How often each reason occurs in it.
+    """
+
+    def __init__(self, size: int) -> None:
+        self._entries: deque[tuple[float | None, Mapping[str, bool], str]] = deque()
+        self._size = size
+        self._met: Counter[str] = Counter()
+        self.reasons: Counter[str] = Counter()
+
+    def add(self, cost: float | None, outcomes: Mapping[str, bool], reason: str) -> None:
+        """Takes a trial in; the oldest falls out of a full window."""
+        if len(self._entries) == self._size:
+            _, met, gone = self._entries.popleft()
+            self._met.subtract(name for name, is_met in met.items() if is_met)
+            self.reasons.subtract([gone])
+        self._entries.append((cost, outcomes, reason))
+        self._met.update(name for name, is_met in outcomes.items() if is_met)
+        self.reasons.update([reason])
+
+    def __len__(self) -> int:
+        return len(self._entries)
+
+    def rate(self, criterion: str) -> float | None:
+        """Share of trials that met the criterion, or None without trials."""
+        return self._met[criterion] / len(self._entries) if self._entries else None
+
+    def share(self, reason: str) -> float:
+        """Share of trials that ended so."""
+        return self.reasons[reason] / len(self._entries) if self._entries else 0.0
+
+    def mean_cost(self) -> float | None:
+        """Mean cost of those that have one."""
+        costs = [cost for cost, _, _ in self._entries if cost is not None]
+        return sum(costs) / len(costs) if costs else None

@@ -1,0 +1,97 @@
+"""`crkr demo`: all of it on one machine."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Iterator
+from itertools import count
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Final
+
+import typer
+
+from crkr.client.console import print_json, stderr, stdout
+from crkr.client.options import Json
+
+if TYPE_CHECKING:
+    from crkr.sim_worker.demo.session import DemoResult
+
+__all__ = ["demo"]
+
+LOOPBACK: Final = "127.0.0.1"
+
+
+def demo(
+    trials: Annotated[int, typer.Option(min=0, help="Training trials in all.")] = 1500,
+    workers: Annotated[int, typer.Option(min=1, max=256, help="Training processes.")] = 2,
+    seed: Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Of demonstrations, contexts and exploration.")] = 0,
+    dashboard: Annotated[bool, typer.Option(help="Run the live viewer beside it; needs the extra 'dashboard'.")] = True,
+    data: Annotated[Path, typer.Option(help="Folder for all that it leaves; a run there is resumed.")] = Path(
+        "crkr-demo"
+    ),
+    port: Annotated[
+        int | None, typer.Option(min=1, max=65535, help="Loopback port of the server; a free one unless given.")
+    ] = None,
+    skill: Annotated[str, typer.Option(help="What to learn; your own as package.module:factory.")] = "table-tennis",
+    stay: Annotated[bool, typer.Option("--stay", help="Keep server and viewer until Enter or Ctrl-C.")] = False,
+    json: Json = False,
+) -> None:
+    """Watch a robot learn table tennis, from five demonstrations, on this machine.
+
+    Starts a server, workers and a dashboard as processes of their own, judges the policy on 50 fixed balls after every
+    50 trials, and ends with a summary, a learning curve and a recording. Ctrl-C ends all of them (status 130); the same
+    command takes the run up again.
+
+    Example: crkr demo --trials 1500 --seed 3
+    """
+    from crkr.sim_worker.demo.display import print_summary
+    from crkr.sim_worker.demo.session import run_demo
+    from crkr.sim_worker.demo.settings import DemoSettings
+    from crkr.sim_worker.progress import Progress
+
+    settings = DemoSettings(
+        skill=skill,
+        task=skill if ":" not in skill else skill.split(":")[0].split(".")[-1].replace("_", "-").lower(),
+        trials=trials,
+        workers=workers,
+        seed=seed,
+        data=data.resolve(),
+        recording=_unused(data.resolve() / "run.rrd"),
+        endpoint=f"tcp/{LOOPBACK}:{port or _free_port()}",
+        dashboard=dashboard,
+        stay=stay,
+    )
+    stderr.print(f"{workers} workers learn {skill}; server at {settings.endpoint}, everything in {data}")
+
+    def finished(result: DemoResult) -> None:
+        progress.__exit__()
+        if json:
+            print_json(result.summary)
+        else:
+            print_summary(stdout, result)
+        if stay and not result.status:
+            stderr.print("server and viewer stay until you press Enter")
+
+    with Progress(stderr, "learning", trials, "trials") as progress:
+        result = run_demo(settings, progress.say, progress.show, finished)
+    if result.problem is not None:
+        stderr.print(f"error: {result.problem}")
+    if result.status:
+        raise typer.Exit(result.status)
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind((LOOPBACK, 0))
+        port: int = probe.getsockname()[1]
+    return port
+
+
+def _unused(path: Path) -> Path:
+    """The path, or with the first number that makes it new: an earlier recording is kept."""
+
+    def candidates() -> Iterator[Path]:
+        yield path
+        yield from (path.with_stem(f"{path.stem}-{number}") for number in count(2))
+
+    return next(candidate for candidate in candidates() if not candidate.exists())

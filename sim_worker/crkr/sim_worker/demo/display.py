@@ -1,0 +1,52 @@
+"""What a demo's summary looks like to people."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from crkr.sim_worker.demo.session import DemoResult
+
+__all__ = ["print_summary"]
+
+
+def print_summary(console: Console, result: DemoResult) -> None:
+    """Prints the result as aligned lines."""
+    rows = list(_rows(result.summary))
+    width = max(len(name) for name, _ in rows)
+    for name, value in rows:
+        console.print(f"{name:<{width}}  {value}")
+    recording = result.summary["recording"]
+    if recording:
+        console.print(f"{'look again':<{width}}  rerun {_short(recording)}")
+
+
+def _rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    before, after = summary.get("success_before"), summary.get("success_after")
+    balls = summary["epochs"][-1]["balls"] if summary["epochs"] else 0
+    yield "success before", _marks(before, balls)
+    yield "success after", _marks(after, balls)
+    rate = f"{summary['trials_per_second']:.0f}/s" if summary["trials_per_second"] else "nothing was left to do"
+    yield "training trials", f"{summary['trials']} after {summary['demonstrations']} demonstrations, {rate}"
+    yield "samples", f"{summary['samples']} stored, {summary['active']} active"
+    lost = f", {summary['workers_lost']} lost" if summary["workers_lost"] else ""
+    yield "workers", f"{summary['workers']}{lost}"
+    yield "time", f"{summary['wall_seconds']:.1f} s"
+    for name in ("figure", "recording", "data"):
+        if summary[name]:
+            yield name, _short(summary[name])
+
+
+def _marks(rates: Mapping[str, float] | None, balls: int) -> str:
+    if rates is None:
+        return "not judged"
+    return ", ".join(f"{name} {rate:.0%}" for name, rate in rates.items()) + f" of {balls} fixed contexts"
+
+
+def _short(path: str) -> str:
+    """Relative to the working directory where it lies in it."""
+    here = Path.cwd()
+    return str(Path(path).relative_to(here)) if Path(path).is_relative_to(here) else path

@@ -1,0 +1,107 @@
+"""Follows a task through its log, without ever holding up the demo for long."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from typing import Any, Final, final
+
+from crkr.client import Client, Task
+from crkr.protocol import CrkrError, UnknownTask
+from crkr.sim_worker.demo.run_history import RunHistory
+
+__all__ = ["Follower"]
+
+CALL_S: Final = 1.0
+STATUS_EVERY_S: Final = 1.0
+WINDOW_S: Final = 5.0
+
+
+@final
+class Follower:
+    """Reads what is new in the log, and how the server is.
+
+    Args:
+        client: A client with a short deadline.
+        task: The task's name.
+
+    Attributes:
+        history: The run so far; None until the task exists.
+        trained_before: Training trials that were there at `begin`.
+        active: Samples in the model.
+    """
+
+    def __init__(self, client: Client, task: str) -> None:
+        self.history: RunHistory | None = None
+        self.trained_before = 0
+        self.active = 0
+        self._task: Task = client.task(task)
+        self._status_due = 0.0
+        self._window: deque[tuple[float, int]] = deque()
+
+    @property
+    def task(self) -> Task:
+        """The task that is followed."""
+        return self._task
+
+    def begin(self) -> None:
+        """Takes what an earlier run left, before this one starts."""
+        self.look()
+        self.trained_before = 0 if self.history is None else self.history.trained
+
+    def look(self, *, thoroughly: bool = False) -> None:
+        """Takes what is new; a server that does not answer is asked again next time.
+
+        Args:
+            thoroughly: Ask for the status too, whenever that was last done.
+        """
+        try:
+            if self.history is None:
+                self.history = RunHistory(self._task.spec)
+            self._read(self.history)
+            if thoroughly or time.monotonic() >= self._status_due:
+                self.active = int(self._task.status(timeout_s=CALL_S)["active"])
+                self._status_due = time.monotonic() + STATUS_EVERY_S
+        except UnknownTask:
+            self.history = None
+        except CrkrError:
+            return
+        self._window.append((time.monotonic(), self.history.trained if self.history else 0))
+        while len(self._window) > 1 and self._window[0][0] < time.monotonic() - WINDOW_S:
+            self._window.popleft()
+
+    def remark(self) -> str:
+        """Rate, newest scores, active set and samples, for a progress display."""
+        if self.history is None:
+            return "starting"
+        (then, before), (now, trained) = self._window[0], self._window[-1]
+        parts = [f"{(trained - before) / (now - then):.0f}/s"] if now > then and trained > before else []
+        if self.history.epochs:
+            score = self.history.epochs[-1]
+            marks = ", ".join(f"{name} {rate:.0%}" for name, rate in score.rates().items())
+            parts.append(f"{marks} after {score.trials}")
+        parts += [f"active {self.active}", f"samples {self.history.samples}"]
+        return ", ".join(parts)
+
+    def result(self) -> dict[str, Any]:
+        """What the log says, as plain data for the summary."""
+        history = self.history
+        if history is None:
+            return {"trials": 0, "demonstrations": 0, "epochs": [], "trials_per_second": 0.0, "samples": 0}
+        epochs = history.epochs
+        return {
+            "trials": history.trained,
+            "demonstrations": history.kinds["demonstration"],
+            "success_before": epochs[0].rates() if epochs and epochs[0].epoch == 0 else None,
+            "success_after": epochs[-1].rates() if epochs else None,
+            "epochs": [score.to_dict() for score in epochs],
+            "trials_per_second": history.rate(since=self.trained_before),
+            "samples": history.samples,
+        }
+
+    def _read(self, history: RunHistory) -> None:
+        position: int | None = history.last_seq
+        while position is not None:
+            page, position = self._task.samples(position, timeout_s=CALL_S)
+            for stored in page:
+                history.add(stored)

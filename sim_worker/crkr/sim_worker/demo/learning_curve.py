@@ -1,0 +1,69 @@
+"""Draws success by epoch, with its uncertainty, into a PNG."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from crkr.sim_worker.demo.run_history import RunHistory
+from crkr.sim_worker.wilson import wilson_interval
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+__all__ = ["draw_learning_curve"]
+
+# Distinguishable without colour vision, and in this order for the usual criteria.
+COLOURS: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7")
+
+
+def draw_learning_curve(history: RunHistory, title: str, budget: int, path: Path) -> bool:
+    """Writes the figure; False, and no file, where no epoch was judged yet.
+
+    Args:
+        history: The run.
+        title: Above the axes.
+        budget: Size of the active set when it is full.
+        path: Of the PNG.
+    """
+    if not history.epochs:
+        return False
+    import matplotlib as mpl
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    with mpl.rc_context({"font.size": 10, "axes.spines.top": False, "axes.spines.right": False}):
+        figure = Figure(figsize=(8.0, 4.5), dpi=120, layout="constrained")
+        axes = figure.add_subplot()
+        _curves(axes, history)
+        _budget(axes, history, budget)
+        axes.set(title=title, xlabel="training trials", ylabel="success on the fixed contexts [%]", ylim=(0.0, 101.0))
+        axes.grid(alpha=0.25)
+        axes.legend(loc="lower right", frameon=False)
+        FigureCanvasAgg(figure).print_png(path)
+    return True
+
+
+def _curves(axes: Axes, history: RunHistory) -> None:
+    epochs = history.epochs
+    trials = [score.trials for score in epochs]
+    for name, colour in zip(epochs[0].successes, COLOURS, strict=False):
+        bands = [wilson_interval(score.successes[name], score.balls) for score in epochs]
+        axes.fill_between(
+            trials, [100 * low for low, _ in bands], [100 * high for _, high in bands], color=colour, alpha=0.15, lw=0
+        )
+        rates = [100 * score.successes[name] / score.balls for score in epochs]
+        axes.plot(trials, rates, color=colour, marker="o", markersize=3, label=f"{name} criterion")
+
+
+def _budget(axes: Axes, history: RunHistory, budget: int) -> None:
+    if history.filled_at is None:
+        return
+    axes.axvline(history.filled_at, color="0.4", linestyle="--", linewidth=1)
+    axes.annotate(
+        f"active set full ({budget})",
+        (history.filled_at, 3.0),
+        xytext=(5, 0),
+        textcoords="offset points",
+        color="0.3",
+    )

@@ -28,8 +28,7 @@ __all__ = ["Anms"]
 
 Mask = NDArray[np.bool_]
 
-_PASS: Final = 1.0  # cost of one sample in one pass of `_insert`, in units that
-_TREE: Final = 1e4  # make this the cost of one sample in a batch build
+_BATCH: Final = 6e3  # a batch build takes as long per sample as one pass over this many
 
 
 @final
@@ -58,7 +57,7 @@ class Anms:
     def extend(self, Z: Array, costs: Array) -> None:
         """Adds samples one by one, or all in one batch where that costs less; the result is the same."""
         n, added = len(self._c), len(costs)
-        if _PASS * added * (n + added / 2) > _TREE * (n + added):
+        if added * (n + added / 2) > _BATCH * (n + added):
             self.rebuild(np.concatenate([self._Z.rows, Z]), np.concatenate([self._c.rows, costs]))
             return
         for z, cost in zip(Z, costs, strict=True):

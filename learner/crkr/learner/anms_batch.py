@@ -22,8 +22,8 @@ __all__ = ["Indices", "radii", "radii_kdtree", "top"]
 
 Indices = NDArray[np.int64]
 
-_FIRST_NEIGHBOURS: Final = 8
-_QUERIES_AT_ONCE: Final = 2_000_000  # neighbours held at a time
+_BRUTE_FORCE: Final = 128  # samples
+_LEAF: Final = 24  # samples in a leaf of a tree
 _SAFETY: Final = 1.0 + 1e-9  # the tree rounds distances in its own way
 
 
@@ -44,47 +44,60 @@ def radii(Z: Array, c: Array) -> tuple[Array, Indices]:
 
 
 def radii_kdtree(Z: Array, c: Array) -> tuple[Array, Indices]:
-    """Squared radii and suppressors, O(n log n) on usual data: asks a k-d tree for ever more neighbours.
+    """Squared radii and suppressors with k-d trees, O(n log^2 n) whatever the costs and however many states coincide.
 
-    Radii have the same bits as those of `radii`. So do suppressors, unless more samples than were asked for share one
+    In cost order, the worse half looks for its nearest neighbours in a tree of the better half; then each half is
+    treated alike. Radii have the same bits as those of `radii`; so have suppressors, except of samples that share a
     state.
     """
     order = _order(c)
-    rank = np.empty(len(c), dtype=np.int64)
-    rank[order] = np.arange(len(c))
-    r2, suppressor = np.full(len(c), np.inf), np.full(len(c), -1, dtype=np.int64)
-    tree, pending, count = KDTree(Z), order[1:], _FIRST_NEIGHBOURS
-    while len(pending):
-        count = min(count, len(c))
-        block = max(1, _QUERIES_AT_ONCE // count)
-        found = [
-            _settle(tree, Z, rank, pending[start : start + block], count, r2, suppressor)
-            for start in range(0, len(pending), block)
-        ]
-        pending, count = pending[~np.concatenate(found)], 4 * count
+    X, r2, suppressor = Z[order], np.full(len(c), np.inf), np.full(len(c), -1, dtype=np.int64)
+    blocks = [(0, len(c))]
+    while blocks:
+        start, stop = blocks.pop()
+        if stop - start <= _BRUTE_FORCE:
+            better, worse, d2 = _inside(X[start:stop])
+            better, worse = better + start, worse + start
+        else:
+            middle = (start + stop) // 2
+            blocks += [(start, middle), (middle, stop)]
+            better, worse, d2 = _across(X[start:middle], X[middle:stop])
+            better, worse = better + start, worse + middle
+        _keep_nearest(r2, suppressor, order[worse], order[better], d2)
     return r2, suppressor
 
 
-def _settle(
-    tree: KDTree, Z: Array, rank: Indices, pending: Indices, count: int, r2: Array, suppressor: Indices
-) -> NDArray[np.bool_]:
-    """Writes the radii that the nearest `count` neighbours decide; returns which of `pending` they were."""
-    distance, neighbour = tree.query(Z[pending], k=np.arange(1, count + 1))  # (a, count) both
-    better = rank[neighbour] < rank[pending][:, None]
-    first = better.argmax(axis=1)[:, None]
-    nearest = np.take_along_axis(distance, first, axis=1)
-    reached = (distance[:, -1:] > nearest * _SAFETY) | (nearest == 0.0) | (count == len(Z))
-    settled = np.take_along_axis(better, first, axis=1)[:, 0] & reached[:, 0]
-    rows, columns = np.nonzero(better & (distance <= nearest * _SAFETY) & settled[:, None])
-    queries, candidates = pending[rows], neighbour[rows, columns]
-    d2 = np.zeros(len(rows))
-    for dimension in range(Z.shape[1]):  # in this order the sum has the bits of `squared_distances`
-        d2 += (Z[queries, dimension] - Z[candidates, dimension]) ** 2
-    best = np.lexsort((candidates, d2, rows))
-    _, heads = np.unique(rows[best], return_index=True)
-    chosen = best[heads]
-    r2[queries[chosen]], suppressor[queries[chosen]] = d2[chosen], candidates[chosen]
-    return np.asarray(settled)
+def _inside(X: Array) -> tuple[Indices, Indices, Array]:
+    """Pairs (better, worse) of a small block in cost order that can set a radius, with their squared distances."""
+    d2 = squared_distances(X, X)
+    d2[np.triu_indices(len(X))] = np.inf
+    worse, better = np.nonzero((d2 == d2.min(axis=1, keepdims=True)) & np.isfinite(d2))
+    return better, worse, d2[worse, better]
+
+
+def _across(better: Array, worse: Array) -> tuple[Indices, Indices, Array]:
+    """The same between two blocks: nearest neighbours, all of them where the tree's rounding leaves a choice."""
+    tree, along = KDTree(better, _LEAF), KDTree(worse, _LEAF).indices  # neighbours in turn: a third of the time
+    distance, neighbour = tree.query(worse[along], k=2)
+    pairs = [(neighbour[:, 0], along)]
+    unsure = (distance[:, 1] <= distance[:, 0] * _SAFETY) & (distance[:, 0] > 0)
+    if unsure.any():
+        balls = tree.query_ball_point(worse[along[unsure]], distance[unsure, 0] * _SAFETY)
+        pairs.append((np.concatenate(balls).astype(np.int64), np.repeat(along[unsure], [len(ball) for ball in balls])))
+    left, right = (np.concatenate(side) for side in zip(*pairs, strict=True))
+    d2 = np.zeros(len(left))
+    for dimension in range(better.shape[1]):  # in this order the sum has the bits of `squared_distances`
+        d2 += (better[left, dimension] - worse[right, dimension]) ** 2
+    return left, right, d2
+
+
+def _keep_nearest(r2: Array, suppressor: Indices, of: Indices, candidate: Indices, d2: Array) -> None:
+    """Takes the candidates that are nearer than the suppressors so far, or as near and older."""
+    best = np.lexsort((candidate, d2, of))
+    best = best[np.diff(of[best], prepend=-1) != 0]
+    of, candidate, d2 = of[best], candidate[best], d2[best]
+    nearer = (d2 < r2[of]) | ((d2 == r2[of]) & (candidate < suppressor[of]))
+    r2[of[nearer]], suppressor[of[nearer]] = d2[nearer], candidate[nearer]
 
 
 def top(r2: Array, k: int) -> Indices:

@@ -24,9 +24,8 @@ _FARTHEST: Final = 1e50
 
 def standardise(states: Array, centre: Array, lengthscales: Array) -> Array:
     """States in units of the length-scales around the centre; (..., d) to (..., d), always finite."""
-    with np.errstate(over="ignore"):
-        scaled = (states - centre) / lengthscales
-    return np.minimum(np.maximum(scaled, -_FARTHEST), _FARTHEST)
+    reach = _FARTHEST * lengthscales
+    return np.minimum(np.maximum(states - centre, -reach), reach) / lengthscales
 
 
 def squared_distances(A: Array, B: Array, out: Array | None = None) -> Array:

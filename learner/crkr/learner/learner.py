@@ -16,7 +16,7 @@ from crkr.learner.explain import explain
 from crkr.learner.freeze import Freeze
 from crkr.learner.full import Full
 from crkr.learner.knowledge import Knowledge
-from crkr.learner.model import Model
+from crkr.learner.model import Model, checked_states
 from crkr.learner.review import Review, review
 from crkr.learner.selection import RadiiCache
 from crkr.learner.selector import SelectorFactory
@@ -110,9 +110,12 @@ class Learner:
         program that repeats its calls gets the same ids.
         """
         if trial_ids is None:
-            count = len(states) if np.ndim(states) == 2 else 1  # type: ignore[arg-type]  # checked by the model
-            trial_ids = draw_ids(f"crkr/{self.spec.name}/predict/{self.version}/{self._asked}", count)
-        answer = self.model.predict(states, explore, trial_ids)
+            checked = checked_states(states, len(self.spec.state))
+            count = 1 if checked.ndim == 1 else len(checked)
+            ids = draw_ids(f"crkr/{self.spec.name}/predict/{self.version}/{self._asked}", count)
+            answer = self.model.answer(checked, explore, ids)
+        else:
+            answer = self.model.predict(states, explore, trial_ids)
         self._asked += 1
         return answer
 

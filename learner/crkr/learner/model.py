@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, final
@@ -17,7 +18,7 @@ from crkr.protocol import Array, Invalid, NoSamples, NovelState, Prediction, id_
 from crkr.protocol.checks import finite_array
 from crkr.protocol.codec import array_from_wire
 
-__all__ = ["Model"]
+__all__ = ["Model", "checked_states"]
 
 
 @final
@@ -100,19 +101,20 @@ class Model:
             NoSamples: No sample is active.
             NovelState: A state is more novel than the task allows.
         """
+        checked = checked_states(states, len(self.parameters.kernel.centre))
+        count = 1 if checked.ndim == 1 else len(checked)
+        return self.answer(checked, explore, _checked_ids(trial_ids, count, explore))
+
+    def answer(self, states: Array, explore: bool, ids: list[UUID]) -> Prediction:
+        """The same as `predict`, for states (d,) or (b, d) and ids that were checked before."""
         regression, own = self.regression, self.parameters
-        single = np.ndim(states) < 2  # type: ignore[arg-type]  # anything that is no array fails in the check
-        dimensions = len(own.kernel.centre)
-        checked = finite_array(states, "states", (dimensions,) if single else (None, dimensions))
-        ids = _checked_ids(trial_ids, 1 if single else len(checked), explore)
         if regression is None:
             raise NoSamples(f"task {own.task!r} has no active sample; report a demonstration or a success first")
-        z = own.kernel.standardise(checked)
-        if single:
+        z = own.kernel.standardise(states)
+        if z.ndim == 1:
             mean, variance, prior = regression.at(z)
-            sigma: Any = variance**0.5 if not own.exploration_floor else (variance + own.exploration_floor) ** 0.5
-            sigmas = own.scales * (own.explore_scale * sigma)
-            novelty = np.asarray(min(variance / prior, 1.0))
+            sigmas = own.scales * (own.explore_scale * math.sqrt(variance + own.exploration_floor))
+            novelty = np.array(min(variance / prior, 1.0))
         else:
             mean, variances, priors = regression.over(z)
             sigmas = own.scales * (own.explore_scale * np.sqrt(variances + own.exploration_floor))[:, None]
@@ -120,14 +122,14 @@ class Model:
         self._refuse_novel(novelty)
         means = own.prior + own.scales * mean
         if explore:
-            u = uniforms(own.seed, ids, len(own.scales))
-            goals = truncated_normal(means, sigmas, own.low, own.high, u[0] if single else u)
+            u = uniforms(own.seed, ids, len(own.scales)).reshape(means.shape)
+            goals = truncated_normal(means, sigmas, own.low, own.high, u)
         else:
             goals = np.minimum(np.maximum(means, own.low), own.high)
         for array in (goals, means, sigmas, novelty):
             array.setflags(write=False)
         policy = "explore" if explore else "mean"
-        return Prediction(checked, goals, means, sigmas, novelty, ids, self.version, len(self.ids), policy)
+        return Prediction(states, goals, means, sigmas, novelty, ids, self.version, len(self.ids), policy)
 
     def _refuse_novel(self, novelty: Array) -> None:
         limit = self.parameters.novelty_limit
@@ -166,6 +168,17 @@ class Model:
             finite_array(arrays["goals"].reshape(-1, p), "goals", (m, p)),
             finite_array(arrays["costs"], "costs", (m,)),
         )
+
+
+def checked_states(states: object, dimensions: int) -> Array:
+    """A read-only float64 copy (d,) or (b, d), or `Invalid`; one state of the right form takes no full check."""
+    if isinstance(states, np.ndarray) and states.shape == (dimensions,) and states.dtype == np.float64:
+        copy: Array = states.copy()
+        copy.setflags(write=False)
+        if math.isfinite(np.add.reduce(copy)):
+            return copy
+    batch = np.ndim(states) == 2  # type: ignore[arg-type]  # anything that is no array fails in the check
+    return finite_array(states, "states", (None, dimensions) if batch else (dimensions,))
 
 
 def _checked_ids(given: Sequence[UUID | bytes] | UUID | bytes | None, count: int, needed: bool) -> list[UUID]:

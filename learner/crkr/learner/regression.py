@@ -75,7 +75,9 @@ class Regression:
         """Mean (p,), variance and prior variance of the scaled goals at one standardised state (d,)."""
         k = self.kernel.matrix(z[None], self.Z)[0]
         v = blas.dtrsv(self.L, k, lower=1)
-        prior = float(self.kernel.variance(z[None])[0])
+        prior = self.kernel.signal_variance
+        if self.kernel.linear_weight:
+            prior += self.kernel.linear_weight * float(z @ z)
         return k @ self.W, max(prior - float(v @ v), 0.0), prior
 
     def over(self, Z: Array) -> tuple[Array, Array, Array]:

@@ -35,6 +35,7 @@ class Reserve:
         self._floor = 0.0
         self._limit = 0
         self._tau = -np.inf
+        self._numbers: set[int] = set()  # those of `chosen`
         self.chosen: Indices = _frozen(self._members)
 
     def reset(self, r2: Array) -> None:
@@ -47,7 +48,7 @@ class Reserve:
         joining = touched[r2[touched] >= self._floor]
         if len(joining):
             self._members = np.union1d(self._members, joining)
-        if (r2[touched] >= self._tau).any() or np.isin(touched, self.chosen, assume_unique=True).any():
+        if (r2[touched] >= self._tau).any() or not self._numbers.isdisjoint(touched.tolist()):
             if len(self._members) > self._limit:
                 self._draw(r2)
             self._choose(r2)
@@ -66,7 +67,7 @@ class Reserve:
         chosen = self._members[top(radii, self._budget)]
         self._tau = float(r2[chosen].min()) if len(chosen) == self._budget else -np.inf
         if not np.array_equal(chosen, self.chosen):
-            self.chosen = _frozen(chosen)
+            self.chosen, self._numbers = _frozen(chosen), set(chosen.tolist())
 
 
 def _frozen(indices: Indices) -> Indices:

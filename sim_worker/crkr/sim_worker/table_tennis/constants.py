@@ -1,8 +1,8 @@
 """Numbers of the game that formulas need; scene.xml holds the same ones, and a test compares them.
 
 Table, net and ball: International Table Tennis Federation, The Laws of Table Tennis, 2.1 to 2.3 [ITTF]. Restitution on
-the table follows from the 23 to 26 cm that a ball must bounce from 30 cm; friction and the paddle's values are of the
-usual size and our choice.
+the table follows from the 23 to 26 cm that a ball must bounce from 30 cm, in air; friction and the paddle's values are
+of the usual size and our choice.
 Table frame: origin on the floor under the table's centre, x towards the opponent, y to the robot's left, z up.
 """
 
@@ -37,7 +37,7 @@ GRAVITY: Final = 9.81  # [m/s^2]
 TABLE_HALF_LENGTH: Final = 1.37  # [m]
 TABLE_HALF_WIDTH: Final = 0.7625  # [m]
 TABLE_HEIGHT: Final = 0.76  # [m]
-TABLE_RESTITUTION: Final = 0.905
+TABLE_RESTITUTION: Final = 0.93
 TABLE_FRICTION: Final = 0.2
 NET_TOP: Final = TABLE_HEIGHT + 0.1525  # [m]
 NET_HALF_LENGTH: Final = 0.915  # [m]

@@ -62,7 +62,7 @@ class Launcher:
 
 
 def snapshot_of(launch: Ball) -> Ball | None:
-    """The ball at the snapshot plane; None unless it gets there, clears the net and bounces once on the robot's side."""
+    """The ball at the snapshot; None unless it comes there, clears the net and bounces once on the robot's side."""
     measured = fly_to_x(launch, SNAPSHOT_X)
     if measured is None or measured[1].z <= BOUNCE_HEIGHT or measured[1].vx >= 0:
         return None

@@ -11,7 +11,7 @@ from crkr.dashboard.wilson import wilson_interval
 from crkr.dashboard.window import Window
 from crkr.protocol import StoredTrial
 
-__all__ = ["EpochResult", "Progress", "Row"]
+__all__ = ["WINDOW", "EpochResult", "Progress", "Row"]
 
 WINDOW: Final = 50  # training trials in a running mean: the paper's epoch
 QUIET_S: Final = 3.0  # an evaluation that gets no more balls for so long is over

@@ -9,7 +9,7 @@ import rerun.blueprint as rrb
 
 __all__ = ["arrangement"]
 
-PATHS_SHOWN = 30  # trials whose paths stay in view
+PATHS_SHOWN = 40  # trials whose paths stay in view
 
 
 def arrangement(eye: tuple[Sequence[float], Sequence[float]] | None) -> rrb.Blueprint:
@@ -45,7 +45,7 @@ def _scene(eye: tuple[Sequence[float], Sequence[float]] | None) -> rrb.Spatial3D
     newest = rrb.TimeRangeBoundary.cursor_relative()
     return rrb.Spatial3DView(
         origin="world",
-        name="Robots: the newest trial in real time, paths of the last 30",
+        name=f"Robots: newest trial in real time, paths of the last {PATHS_SHOWN}",
         background=[16, 20, 28],
         line_grid=False,
         time_ranges=[

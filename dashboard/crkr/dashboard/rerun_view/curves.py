@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import defaultdict, deque
 from collections.abc import Iterable, Mapping
 from statistics import median
 from typing import Any, final
@@ -10,7 +10,7 @@ from typing import Any, final
 import rerun as rr
 
 from crkr.dashboard.facts import latency_ms
-from crkr.dashboard.progress import EpochResult, Progress, Row
+from crkr.dashboard.progress import WINDOW, EpochResult, Progress, Row
 from crkr.dashboard.rerun_view.colours import CRITERIA, FAILURE, LINES, NEUTRAL, SUCCESS, shade
 from crkr.dashboard.rerun_view.recording import Recording
 from crkr.dashboard.telemetry import Telemetry
@@ -33,6 +33,7 @@ class Curves:
         self._styled: set[Path] = set()
         self._rows: dict[Path, list[tuple[int, int, float]]] = defaultdict(list)
         self._durations: dict[str, list[float]] = defaultdict(list)
+        self._recent: dict[str, deque[float]] = defaultdict(lambda: deque(maxlen=WINDOW))
         self._last_status_trial = -1
 
     def trials(self, rows: Iterable[Row]) -> None:
@@ -55,10 +56,14 @@ class Curves:
         """Width and novelty of the goal that was tried, and how long it took."""
         if row.kind not in ("trial", "failed"):
             return
-        if telemetry.sigma_mean is not None:
-            self._line(("exploration", "sigma"), row, telemetry.sigma_mean, LINES[0], "mean sigma / scale")
-        if telemetry.novelty is not None:
-            self._line(("exploration", "novelty"), row, telemetry.novelty, LINES[1], "novelty")
+        measured = {"mean sigma / scale": telemetry.sigma_mean, "novelty": telemetry.novelty}
+        for colour, (name, value) in zip(LINES, measured.items(), strict=False):
+            if value is None:
+                continue
+            recent = self._recent[name]
+            recent.append(value)
+            self._point(("exploration", name), row, value, shade(colour, 0.4), f"{name}, each trial")
+            self._line(("exploration", f"{name} mean"), row, sum(recent) / len(recent), colour, f"{name}, last 50", 2.0)
         for name, duration in telemetry.timing_ms.items():
             self._durations[name].append(duration)
 
@@ -72,8 +77,8 @@ class Curves:
             band = rr.Measurements(
                 (low + high) / 2,
                 variances=((high - low) / 2) ** 2,
-                colors=shade(colour, 0.35),
-                widths=0.3,
+                colors=colour,
+                widths=0.1,
                 names=f"{name}, 95 %",
             )
             self._recording.at(times, ("evaluation", name, "interval"), band)

@@ -21,7 +21,7 @@ __all__ = ["RerunDisplay"]
 
 NUMBERS_EVERY_S: Final = 0.5  # small chunks cost a viewer far more than what they hold
 PAGES_EVERY_S: Final = 1.0
-SCENE_PATIENCE_S: Final = 5.0  # a skill without a scene gets its layout after so long
+WORKERS_PATIENCE_S: Final = 3.0  # the layout waits so long for more workers to appear, and for a scene
 
 
 @final
@@ -40,7 +40,7 @@ class RerunDisplay:
         self._curves = Curves(recording)
         self._status: Mapping[str, Any] = {}
         self._arranged = False
-        self._first_tick: float | None = None
+        self._arrange_at: float | None = None
         self._next_numbers = self._next_pages = 0.0
         self._pages: dict[str, str] = {}
         self._speed: deque[tuple[float, int]] = deque(maxlen=10)
@@ -78,7 +78,6 @@ class RerunDisplay:
 
     def tick(self, now: float, progress: Progress) -> None:
         """Sends what is due."""
-        self._first_tick = now if self._first_tick is None else self._first_tick
         self._arrange(now)
         self._stage.tick(now)
         if now >= self._next_numbers:
@@ -99,13 +98,13 @@ class RerunDisplay:
         self._times = {"trial": progress.trials, "epoch": progress.epoch}
 
     def _arrange(self, now: float) -> None:
-        """Once, as soon as there is something to look at: a second time would undo what the viewer's user changed."""
-        patience_over = self._first_tick is not None and now - self._first_tick > SCENE_PATIENCE_S
-        if self._arranged or not (self._stage.has_scene or (patience_over and self._times["trial"])):
+        """Once, when there is something to look at: a second time would undo what the viewer's user changed."""
+        if self._arranged or not (self._stage.has_scene or self._times["trial"]):
             return
-        self._arranged = True
-        workers = self._status.get("workers")
-        self._recording.layout(arrangement(self._stage.eye(len(workers) if isinstance(workers, list) else 1)))
+        self._arrange_at = now + WORKERS_PATIENCE_S if self._arrange_at is None else self._arrange_at
+        if now >= self._arrange_at:
+            self._arranged = True
+            self._recording.layout(arrangement(self._stage.eye() if self._stage.has_scene else None))
 
     def _write_pages(self, progress: Progress) -> None:
         (start, before), (end, after) = self._speed[0], self._speed[-1]

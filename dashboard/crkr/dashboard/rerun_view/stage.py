@@ -1,17 +1,19 @@
-"""The robots in 3D: every trial's paths, and one trial at a time of each worker in real time.
+"""The robots in 3D: every training trial's paths, and one trial at a time of each worker in real time.
 
-Workers finish trials faster than they could be watched. All paths are drawn, coloured by success; of the poses only
-those of the newest trial when the one before has been played. Poses of all bodies go out as rows of one entity per
-worker, which names the moved frame in each row: a chunk per worker and tick instead of one per body.
+Workers finish trials faster than they could be watched. The paths of all training trials are drawn, coloured by success;
+poses, and paths of other kinds, only of the newest trial when the one before has been played. Poses of all bodies go out
+as rows of one entity per worker, which names the moved frame in each row: a chunk per worker and tick instead of one per
+body. Demonstrations are played in the world of the first worker that tries: who records them often does nothing else.
 
     world/<worker>                    where its world stands, static
     world/<worker>/shapes/<body>/...  shapes, static, each in the frame "<worker>/<body>"
     world/<worker>/motion             transforms of those frames
-    world/<worker>/paths/<name>       one line per trial
+    world/<worker>/paths/<name>       a line per trial, coloured by success
 """
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass, field
 from typing import Any, Final, final
 
@@ -29,7 +31,9 @@ from crkr.protocol import Geom, Trace
 __all__ = ["Stage"]
 
 MAX_WORKERS: Final = 64
-PATH_RADIUS: Final = -0.7  # negative: Rerun's points on the screen, whatever the distance
+PATH_RADIUS: Final = -0.6  # negative: Rerun's points on the screen, whatever the distance
+MAX_EARLY: Final = 16
+ALONE_S: Final = 3.0
 HOLD_S: Final = 0.3  # the last pose of a trial stays so long
 NO_SCENE: Final = (np.array([-1.0, -1.0, 0.0]), np.array([1.0, 1.0, 1.0]))
 
@@ -61,6 +65,8 @@ class Stage:
     def __init__(self, recording: Recording) -> None:
         self._recording = recording
         self._worlds: dict[str, _World] = {}
+        self._early: deque[tuple[Row, Telemetry]] = deque(maxlen=MAX_EARLY)
+        self._alone_until: float | None = None
         self._bounds = NO_SCENE
         recording.fixed(["world"], rr.ViewCoordinates.RIGHT_HAND_Z_UP)
 
@@ -69,27 +75,44 @@ class Stage:
         """Whether any worker has said what its world looks like."""
         return any(world.scene for world in self._worlds.values())
 
-    def eye(self, count: int) -> tuple[Any, Any]:
-        """A good place to see the first `count` workers from: position and target (3,) [m]."""
-        return eye(max(count, len(self._worlds), 1), *self._bounds)
+    def eye(self) -> tuple[Any, Any]:
+        """A good place to see all worlds from: position and target (3,) [m]."""
+        return eye(max(len(self._worlds), 1), *self._bounds)
 
     def picture(self, row: Row, telemetry: Telemetry) -> None:
         """Takes in what a worker published about a trial."""
-        world = self._world(telemetry.worker)
+        if row.kind == "demonstration" and telemetry.worker not in self._worlds:
+            self._early.append((row, telemetry))
+        else:
+            self._show(self._world(telemetry.worker), row, telemetry)
+
+    def _show(self, world: _World | None, row: Row, telemetry: Telemetry) -> None:
         if world is None:
             return
         if telemetry.scene is not None and telemetry.scene != world.scene:
             self._draw_scene(world, telemetry.scene)
         if telemetry.trace is not None:
             world.waiting = (row, telemetry.trace)
-            for name, path in telemetry.trace.paths.items():
-                world.paths.setdefault(name, []).append((row, path))
+            if row.kind in ("trial", "failed"):
+                _keep_paths(world, row, telemetry.trace)
 
     def tick(self, now: float) -> None:
         """Draws the new paths and moves the robots to where they were at `now`, monotonic [s]."""
+        self._show_demonstrations(now)
         for world in self._worlds.values():
-            self._draw_paths(world)
             self._play(world, now)
+            self._draw_paths(world)
+
+    def _show_demonstrations(self, now: float) -> None:
+        """In the first worker's world, or in one of their own if nobody tries for a while."""
+        if not self._early:
+            return
+        self._alone_until = now + ALONE_S if self._alone_until is None else self._alone_until
+        if self._worlds or now > self._alone_until:
+            for row, telemetry in self._early:
+                worker = next(iter(self._worlds), telemetry.worker)
+                self._show(self._world(worker), row, telemetry)
+            self._early.clear()
 
     def _world(self, worker: str) -> _World | None:
         if worker not in self._worlds and len(self._worlds) < MAX_WORKERS:
@@ -131,7 +154,7 @@ class Stage:
                 _times([row for row, _ in paths]),
                 rr.LineStrips3D.columns(
                     strips=[[path] for _, path in paths],
-                    colors=[SUCCESS if row.success else FAILURE for row, _ in paths],
+                    colors=np.array([SUCCESS if row.success else FAILURE for row, _ in paths], dtype=np.uint32),
                     radii=[PATH_RADIUS] * len(paths),
                 ),
             )
@@ -140,6 +163,8 @@ class Stage:
     def _play(self, world: _World, now: float) -> None:
         if world.playing is None and world.waiting is not None:
             world.playing, world.waiting, world.started, world.sent = world.waiting, None, now, 0
+            if world.playing[0].kind not in ("trial", "failed"):
+                _keep_paths(world, *world.playing)
         if world.playing is None:
             return
         row, trace = world.playing
@@ -173,6 +198,11 @@ class Stage:
                 child_frame=[f"{world.name}/{name}" for name in names] * count,
             ),
         )
+
+
+def _keep_paths(world: _World, row: Row, trace: Trace) -> None:
+    for name, path in trace.paths.items():
+        world.paths.setdefault(name, []).append((row, path))
 
 
 def _times(rows: list[Row]) -> list[rr.TimeColumn]:

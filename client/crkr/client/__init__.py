@@ -1,0 +1,37 @@
+"""The Python client: `Client`, `Task`, and the frame of the `crkr` command.
+
+Names are bound when they are first used, so that the command can set up its process before numpy is imported.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from crkr.client.client import Client, TaskSummary
+    from crkr.client.presence import Presence
+    from crkr.client.subscription import Subscription
+    from crkr.client.task import Task
+
+__all__ = ["Client", "Presence", "Subscription", "Task", "TaskSummary"]
+
+_HOME = {
+    "Client": "client",
+    "Presence": "presence",
+    "Subscription": "subscription",
+    "Task": "task",
+    "TaskSummary": "client",
+}
+
+
+def __getattr__(name: str) -> object:
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(importlib.import_module(f"{__name__}.{_HOME[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -1,0 +1,117 @@
+"""A connection to one server: what it is, which tasks it has, and the tasks themselves."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Final, TypedDict, final
+
+from crkr.client.config import Connection
+from crkr.client.rpc import Rpc, reading
+from crkr.client.task import Task
+from crkr.client.transport import Transport
+from crkr.protocol import TaskSpec, check_name, rpc_key
+from crkr.protocol.checks import integer, required
+
+__all__ = ["Client", "TaskSummary"]
+
+
+class TaskSummary(TypedDict):
+    """One entry of `Client.tasks`."""
+
+    spec: TaskSpec
+    samples: int
+    active: int
+    model_version: int
+
+
+@final
+class Client:
+    """A policy server, seen from a robot, a simulator or a notebook.
+
+    It may be made before the server is there: the first call connects, and each call tries until its deadline. One
+    client may be shared by threads, not by processes: after a fork, make a new one.
+
+    Attributes:
+        endpoint: Zenoh endpoint of the server.
+    """
+
+    def __init__(
+        self, endpoint: str | None = None, *, timeout_s: float = 5.0, zenoh_config: Path | str | None = None
+    ) -> None:
+        """Notes where the server is.
+
+        Args:
+            endpoint: Zenoh endpoint; $CRKR_CONNECT or "tcp/127.0.0.1:7447" where absent.
+            timeout_s: Deadline of calls that name none [s].
+            zenoh_config: Zenoh configuration file (JSON5), for certificates and passwords.
+
+        Raises:
+            Invalid: The endpoint, the time or the file is not valid.
+        """
+        connection = Connection.choose(endpoint, None if zenoh_config is None else Path(zenoh_config))
+        self.endpoint: Final = connection.endpoint
+        self._rpc: Final = Rpc(Transport(connection), timeout_s)
+
+    def info(self, *, timeout_s: float | None = None) -> dict[str, Any]:
+        """The server: `protocol`, `version`, `server_id`, `started` [unix s], `tasks` (names), `limits`.
+
+        Raises:
+            Unavailable: No answer in time.
+        """
+        return self._rpc.call(rpc_key("info"), {}, timeout_s)
+
+    def wait_until_ready(self, patience_s: float) -> dict[str, Any]:
+        """Waits for the server and returns its `info`; raises `Unavailable` after `patience_s`."""
+        return self.info(timeout_s=patience_s)
+
+    def tasks(self, *, timeout_s: float | None = None) -> list[TaskSummary]:
+        """Every task: `spec` (in force), `samples`, `active`, `model_version`."""
+        reply = self._rpc.call(rpc_key("tasks"), {}, timeout_s)
+        with reading("tasks"):
+            return [_summary(entry) for entry in required(reply, "tasks")]
+
+    def create_task(self, spec: TaskSpec | Mapping[str, Any], *, timeout_s: float | None = None) -> Task:
+        """Makes a task, or finds it: the same specification again is fine, description aside.
+
+        Args:
+            spec: A specification, or its fields as plain data.
+            timeout_s: Deadline [s].
+
+        Raises:
+            Invalid: The specification is not valid.
+            Conflict: The name exists with another specification; `details["fields"]` has name -> [stored, given].
+        """
+        checked = spec if isinstance(spec, TaskSpec) else TaskSpec.from_dict(spec)
+        reply = self._rpc.call(rpc_key("create_task"), checked.to_dict(), timeout_s)
+        return Task(self._rpc, checked.name, created=reply.get("created") is True)
+
+    def task(self, name: str) -> Task:
+        """A task by its name; whether it exists shows at the first call (`UnknownTask`).
+
+        Raises:
+            Invalid: No task can have that name.
+        """
+        return Task(self._rpc, check_name(name))
+
+    def close(self) -> None:
+        """Ends the connection; calls in progress end with `Unavailable`."""
+        self._rpc.transport.close()
+
+    def __enter__(self) -> Client:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def _summary(entry: Mapping[str, Any]) -> TaskSummary:
+    return {
+        "spec": TaskSpec.from_dict(required(entry, "spec")),
+        "samples": integer(required(entry, "samples"), "samples"),
+        "active": integer(required(entry, "active"), "active"),
+        "model_version": integer(required(entry, "model_version"), "model_version"),
+    }

@@ -1,0 +1,136 @@
+"""`crkr recost`, `remove`, `refit`, `configure` and `archive`."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from typing import Annotated, Any
+
+import typer
+
+from crkr.client import Client
+from crkr.client.commands.vectors import parse_ids
+from crkr.client.console import json_data, print_json, stdout
+from crkr.client.options import Connect, Json, Timeout, ZenohConfig
+
+__all__ = ["archive", "configure", "recost", "refit", "remove"]
+
+_Task = Annotated[str, typer.Argument(help="Name of the task.")]
+_Reason = Annotated[str, typer.Option("--reason", help="Why; it is kept in the log.")]
+
+
+def recost(
+    task: _Task,
+    changes: Annotated[list[str], typer.Argument(metavar="ID=COST...", help="New costs in [0, 1].")],
+    reason: _Reason = "",
+    connect: Connect = None,
+    timeout: Timeout = 10.0,
+    zenoh_config: ZenohConfig = None,
+    as_json: Json = False,
+) -> None:
+    """Correct the costs of stored trials.
+
+    Example: crkr recost throw 2f1c6a1e-6c1f-4b52-9f0e-0d6a3c5b7e11=0.4 --reason "camera was off"
+    """
+    pairs = [change.partition("=") for change in changes]
+    ids = parse_ids([pair[0] for pair in pairs])
+    try:
+        costs = [float(pair[2]) for pair in pairs]
+    except ValueError as error:
+        raise typer.BadParameter("each change is ID=COST with a number for the cost") from error
+    with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
+        _show(client.task(task).recost(ids, costs, reason), as_json)
+
+
+def remove(
+    task: _Task,
+    ids: Annotated[list[str], typer.Argument(metavar="ID...", help="Trials to take out of learning.")],
+    reason: _Reason = "",
+    connect: Connect = None,
+    timeout: Timeout = 10.0,
+    zenoh_config: ZenohConfig = None,
+    as_json: Json = False,
+) -> None:
+    """Take trials out of learning; they stay in the log, marked.
+
+    Example: crkr remove throw 2f1c6a1e-6c1f-4b52-9f0e-0d6a3c5b7e11 --reason "hand slipped"
+    """
+    with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
+        _show(client.task(task).remove(parse_ids(ids), reason), as_json)
+
+
+def refit(
+    task: _Task,
+    connect: Connect = None,
+    timeout: Timeout = 60.0,
+    zenoh_config: ZenohConfig = None,
+    as_json: Json = False,
+) -> None:
+    """Fit the kernel's length-scales to the evidence; kept only if it improves.
+
+    Example: crkr refit throw
+    """
+    with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
+        _show(client.task(task).refit(), as_json)
+
+
+def configure(
+    task: _Task,
+    changes: Annotated[list[str], typer.Argument(metavar="KEY=VALUE...", help="Settings, as in the specification.")],
+    connect: Connect = None,
+    timeout: Timeout = 10.0,
+    zenoh_config: ZenohConfig = None,
+    as_json: Json = False,
+) -> None:
+    """Change settings of a task while it runs.
+
+    Example: crkr configure throw budget=400 cost_map=odds kernel.linear_weight=0.1
+    """
+    wanted = _settings(changes)
+    with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
+        _show(client.task(task).configure(wanted), as_json)
+
+
+def archive(
+    task: _Task,
+    yes: Annotated[bool, typer.Option("--yes", help="Do not ask.")] = False,
+    connect: Connect = None,
+    timeout: Timeout = 10.0,
+    zenoh_config: ZenohConfig = None,
+    as_json: Json = False,
+) -> None:
+    """End learning of a task for good; it still answers, and its data stays.
+
+    Example: crkr archive throw --yes
+    """
+    if not yes:
+        typer.confirm(f"End learning of {task} for good?", abort=True, err=True)
+    with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
+        _show(client.task(task).archive(), as_json)
+
+
+def _settings(changes: list[str]) -> dict[str, Any]:
+    """key=value pairs as TOML values; a bare word is text, a dotted key goes into its map."""
+    settings: dict[str, Any] = {}
+    for change in changes:
+        key, equals, text = change.partition("=")
+        if not key or not equals:
+            raise typer.BadParameter(f"a change is KEY=VALUE, as in budget=400; got {change!r}")
+        try:
+            value = tomllib.loads(f"value = {text}")["value"]
+        except tomllib.TOMLDecodeError:
+            value = text
+        outer, dot, inner = key.partition(".")
+        if dot:
+            settings.setdefault(outer, {})[inner] = value
+        else:
+            settings[key] = value
+    return settings
+
+
+def _show(answer: Mapping[str, Any], as_json: bool) -> None:
+    if as_json:
+        print_json(answer)
+        return
+    for key, value in answer.items():
+        stdout.print(f"{key}: {json_data(value)}")

@@ -1,0 +1,111 @@
+"""`crkr doctor`: what works, what does not, and what to do about it."""
+
+from __future__ import annotations
+
+import os
+import platform
+import shutil
+import statistics
+import tempfile
+import time
+from importlib.metadata import version
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from crkr.client import Client
+from crkr.client.console import print_json, print_table
+from crkr.client.options import Connect, Json, Timeout, ZenohConfig
+from crkr.protocol import PROTOCOL_VERSION, CrkrError, Invalid
+
+__all__ = ["doctor"]
+
+_ROUND_TRIPS = 50
+_LITTLE_BYTES = 1 << 30
+_Check = tuple[str, bool, str]
+
+
+def doctor(
+    data: Annotated[
+        Path | None, typer.Option("--data", metavar="DIR", help="Also look at the disk under a data directory.")
+    ] = None,
+    connect: Connect = None,
+    timeout: Timeout = 5.0,
+    zenoh_config: ZenohConfig = None,
+    as_json: Json = False,
+) -> None:
+    """Check versions, connection, protocol, round trip and disk; exits 1 if something is wrong.
+
+    Example: crkr doctor --connect tcp/127.0.0.1:7447 --data data
+    """
+    checks = [_versions(), *_server(connect, timeout, zenoh_config)]
+    if data is not None:
+        checks += _disk(data)
+    fine = all(passed for _, passed, _ in checks)
+    if as_json:
+        print_json({"ok": fine, "checks": [{"check": c, "ok": ok, "detail": text} for c, ok, text in checks]})
+    else:
+        print_table(("check", "", "detail"), [(c, "ok" if ok else "FAILED", text) for c, ok, text in checks])
+    if not fine:
+        raise typer.Exit(1)
+
+
+def _versions() -> _Check:
+    packages = {"crkr": "crkr", "zenoh": "eclipse-zenoh", "numpy": "numpy", "msgpack": "msgpack"}
+    listed = ", ".join(f"{name} {version(package)}" for name, package in packages.items())
+    return "versions", True, f"{listed}, Python {platform.python_version()}"
+
+
+def _server(connect: str | None, timeout_s: float, zenoh_config: Path | None) -> list[_Check]:
+    try:
+        with Client(connect, timeout_s=timeout_s, zenoh_config=zenoh_config) as client:
+            return [("endpoint", True, client.endpoint), *_conversation(client)]
+    except Invalid as error:
+        return [("endpoint", False, error.message)]
+
+
+def _conversation(client: Client) -> list[_Check]:
+    try:
+        info = client.info()
+        trips = [_seconds(client.info) for _ in range(_ROUND_TRIPS)]
+    except CrkrError as error:
+        return [("reachable", False, error.message)]
+    return [("reachable", True, f"server {info.get('version')}, id {info.get('server_id')}"), *_answers(info, trips)]
+
+
+def _answers(info: dict[str, Any], trips: list[float]) -> list[_Check]:
+    spoken = info.get("protocol")
+    same = spoken == PROTOCOL_VERSION
+    advice = "" if same else f"; this client speaks {PROTOCOL_VERSION}: install the same version of crkr on both sides"
+    median, worst = 1000 * statistics.median(trips), 1000 * max(trips)
+    return [
+        ("protocol", same, f"version {spoken}{advice}"),
+        ("round trip", True, f"median {median:.2f} ms, worst of {len(trips)} {worst:.2f} ms"),
+        ("tasks", True, ", ".join(info.get("tasks", [])) or "none yet"),
+    ]
+
+
+def _seconds(call: Any) -> float:
+    start = time.perf_counter()
+    call()
+    return time.perf_counter() - start
+
+
+def _disk(directory: Path) -> list[_Check]:
+    try:
+        free = shutil.disk_usage(directory).free
+        with tempfile.TemporaryFile(dir=directory) as file:
+            trips = []
+            for _ in range(20):
+                file.write(b"\0" * 4096)
+                file.flush()
+                trips.append(_seconds(lambda: os.fsync(file.fileno())))
+    except OSError as error:
+        return [("disk", False, f"{directory} cannot be written: {error.strerror}")]
+    enough = free > _LITTLE_BYTES
+    advice = "" if enough else "; make room, a full disk refuses reports"
+    return [
+        ("disk", enough, f"{free / 1e9:.1f} GB free{advice}"),
+        ("commit", True, f"a durable write takes {1000 * statistics.median(trips):.2f} ms"),
+    ]

@@ -1,0 +1,74 @@
+"""Every error a command may expect becomes one line on standard error and an exit status."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from typing import Final
+
+import typer
+
+from crkr.protocol import CrkrError
+
+__all__ = ["guarded", "reason_missing"]
+
+# Import name of an extra's package -> extras that bring it, the first unless the command's own is among them.
+_EXTRAS: Final = {
+    "clarabel": ("sim",),
+    "coal": ("sim",),
+    "joblib": ("experiments",),
+    "matplotlib": ("sim",),
+    "mujoco": ("sim",),
+    "pinocchio": ("sim",),
+    "rerun": ("dashboard",),
+    "rliable": ("experiments",),
+    "scipy": ("server", "mirror", "sim", "experiments"),
+    "sklearn": ("experiments",),
+}
+_EXTRA_OF_PART: Final = {
+    "client": "mirror",
+    "server": "server",
+    "sim_worker": "sim",
+    "dashboard": "dashboard",
+    "experiments": "experiments",
+}
+
+
+def guarded(function: Callable[..., object], command: str, module: str) -> Callable[..., object]:
+    """The command with its expected failures as exit status 1 (130 when interrupted); defects keep their traceback."""
+
+    @functools.wraps(function)
+    def run(*args: object, **kwargs: object) -> object:
+        try:
+            return function(*args, **kwargs)
+        except CrkrError as error:
+            raise _failed(error.message) from error
+        except ModuleNotFoundError as error:
+            if (error.name or "").split(".")[0] not in _EXTRAS:
+                raise
+            raise _failed(reason_missing(error, command, module)) from error
+        except BrokenPipeError:
+            raise  # the reader has gone; Typer leaves quietly
+        except OSError as error:
+            raise _failed(str(error)) from error
+        except KeyboardInterrupt as error:
+            typer.echo("interrupted", err=True)
+            raise typer.Exit(130) from error
+
+    return run
+
+
+def reason_missing(error: Exception, command: str, module: str) -> str:
+    """Which extra to install for a command that lacks a package."""
+    package = (getattr(error, "name", None) or "").split(".")[0]
+    extras = _EXTRAS.get(package)
+    if extras is None:
+        return f"crkr {command} cannot be loaded: {error}"
+    own = _EXTRA_OF_PART.get(module.split(".")[1] if "." in module else "", "")
+    extra = own if own in extras else extras[0]
+    return f"crkr {command} needs the extra '{extra}': pip install 'crkr[{extra}]'"
+
+
+def _failed(message: str) -> typer.Exit:
+    typer.echo(f"error: {message}", err=True)
+    return typer.Exit(1)

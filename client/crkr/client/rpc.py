@@ -1,0 +1,78 @@
+"""Calls: a message map out, a message map back, by a deadline."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any, Final, final
+from uuid import UUID
+
+from crkr.client.transport import Transport
+from crkr.protocol import Internal, Invalid, array_from_wire, pack, unpack
+
+__all__ = ["Rpc", "plain", "reading"]
+
+# Verbs whose work may take longer than one ordinary attempt: asking again would only double it.
+_PATIENT: Final = frozenset({"recost", "remove", "refit", "configure", "archive"})
+
+
+@final
+class Rpc:
+    """Calls with a default deadline over a transport.
+
+    Attributes:
+        transport: What carries them.
+        timeout_s: Deadline of a call that names none [s].
+    """
+
+    def __init__(self, transport: Transport, timeout_s: float) -> None:
+        self.transport: Final = transport
+        self.timeout_s: Final = _positive(timeout_s)
+
+    def deadline(self, timeout_s: float | None) -> float:
+        """The moment to give up [s, monotonic clock]; raises `Invalid` for a time that is not positive."""
+        return time.monotonic() + (self.timeout_s if timeout_s is None else _positive(timeout_s))
+
+    def call(self, key: str, message: Mapping[str, Any], timeout_s: float | None = None) -> dict[str, Any]:
+        """Sends a message and returns the answer; the verb is the key's last word.
+
+        Raises:
+            Unavailable: No answer in time.
+            CrkrError: The server's typed error, or `Internal` for an answer that cannot be read.
+        """
+        verb = key.rpartition("/")[2]
+        patient = verb in _PATIENT or message.get("wait") is True
+        reply = self.transport.query(key, verb, pack(message), self.deadline(timeout_s), patient=patient)
+        with reading(verb):
+            return unpack(reply)
+
+
+@contextmanager
+def reading(verb: str) -> Iterator[None]:
+    """Turns a complaint about an answer into `Internal`: it is the server that is wrong, not the caller."""
+    try:
+        yield
+    except (Invalid, TypeError, ValueError, KeyError, AttributeError) as error:
+        raise Internal(f"the server's answer to {verb} cannot be read: {error}") from error
+
+
+def plain(value: Any) -> Any:
+    """A decoded message with its array maps as arrays and its ids as UUIDs, all the way down.
+
+    Raises:
+        Invalid: An array map whose bytes and shape disagree.
+    """
+    if isinstance(value, Mapping):
+        if value.keys() >= {"shape", "dtype", "data"}:
+            return array_from_wire(value, "array")
+        return {key: plain(entry) for key, entry in value.items()}
+    if isinstance(value, list):
+        return [plain(entry) for entry in value]
+    return UUID(bytes=value) if isinstance(value, bytes) and len(value) == 16 else value
+
+
+def _positive(timeout_s: float) -> float:
+    if not isinstance(timeout_s, int | float) or not 0 < timeout_s < float("inf"):
+        raise Invalid(f"timeout_s must be a positive number of seconds; got {timeout_s!r}")
+    return float(timeout_s)

@@ -1,0 +1,116 @@
+"""One Zenoh session that is opened when first needed, closed once, and never used across a fork."""
+
+from __future__ import annotations
+
+import logging
+import os
+import threading
+import time
+import weakref
+from typing import Final, final
+
+import zenoh
+
+from crkr.client.config import Connection, brief
+from crkr.protocol import Unavailable
+
+__all__ = ["NotConnected", "Session"]
+
+_logger = logging.getLogger(__name__)
+_OPEN_S: Final = 1.0
+
+
+class NotConnected(Exception):
+    """This attempt to open the session failed; another may not."""
+
+
+@final
+class Session:
+    """Opens lazily, so that a client may be made before its server is there.
+
+    Once open, Zenoh reconnects by itself and declares everything again. Closed by `close`, by garbage collection, or
+    when the interpreter exits (before its threads are torn down), whichever comes first.
+
+    Attributes:
+        connection: Where it leads.
+    """
+
+    def __init__(self, connection: Connection) -> None:
+        self.connection: Final = connection
+        self._lock = threading.Lock()
+        self._session: zenoh.Session | None = None
+        self._finalizer: weakref.finalize[[zenoh.Session, int], Session] | None = None
+        self._process = os.getpid()
+        self._closed = threading.Event()
+
+    def open(self, deadline: float) -> zenoh.Session:
+        """The open session.
+
+        Args:
+            deadline: When to stop trying [s, monotonic clock].
+
+        Raises:
+            NotConnected: Nobody answers at the endpoint yet.
+            Unavailable: The client was closed, or belongs to another process.
+        """
+        self._check()
+        session = self._session
+        if session is not None:
+            return session
+        if not self._lock.acquire(timeout=max(0.0, deadline - time.monotonic())):
+            raise NotConnected("another thread is still connecting")
+        try:
+            self._check()
+            if self._session is None:
+                self._session = self._connect(deadline)
+            return self._session
+        finally:
+            self._lock.release()
+
+    def peek(self) -> zenoh.Session | None:
+        """The session if it is open."""
+        return None if self._closed.is_set() or self._process != os.getpid() else self._session
+
+    def pause(self, seconds: float) -> None:
+        """Waits, but not longer than the session lives."""
+        self._closed.wait(seconds)
+
+    def close(self) -> None:
+        """Closes the session; calls in progress end, later ones raise `Unavailable`."""
+        self._closed.set()
+        with self._lock:
+            finalizer, self._finalizer, self._session = self._finalizer, None, None
+        if finalizer is not None:
+            finalizer()
+
+    def _connect(self, deadline: float) -> zenoh.Session:
+        patience = min(_OPEN_S, max(0.001, deadline - time.monotonic()))
+        try:
+            session = zenoh.open(self.connection.zenoh(patience))
+        except zenoh.ZError as error:
+            raise NotConnected(f"cannot connect: {brief(error)}") from error
+        self._finalizer = weakref.finalize(self, _close, session, self._process)
+        _logger.debug("connected to %s", self.connection.endpoint)
+        return session
+
+    def _check(self) -> None:
+        if self._closed.is_set():
+            raise Unavailable(f"the client of {self.connection.endpoint} is closed")
+        if self._process != os.getpid():
+            raise Unavailable(
+                "this client was made before a fork and belongs to the parent process; "
+                "make one in each process, or start processes with multiprocessing's 'spawn' method"
+            )
+
+
+_inherited: list[zenoh.Session] = []
+
+
+def _close(session: zenoh.Session, process: int) -> None:
+    if os.getpid() != process:
+        _inherited.append(session)  # its threads stayed in the parent: to close it here would wait for them forever
+        return
+    try:
+        session.close()  # type: ignore[no-untyped-call]  # zenoh's stub gives it no return type
+    except zenoh.ZError as error:
+        _logger.warning("closing the session: %s", brief(error))

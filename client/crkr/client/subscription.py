@@ -1,0 +1,115 @@
+"""Publications of a task, kept for a reader who may be slow: the newest stay, the oldest are dropped and counted."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+import weakref
+from collections import deque
+from collections.abc import Sequence
+from types import TracebackType
+from typing import Any, Final, final
+
+import zenoh
+
+from crkr.client.rpc import plain
+from crkr.protocol import CrkrError, Invalid, check_encoding, pub_key, unpack
+
+__all__ = ["TOPICS", "Subscription"]
+
+_logger = logging.getLogger(__name__)
+TOPICS: Final = ("trial", "evaluation", "model")
+
+
+@final
+class _Buffer:
+    """What a thread of its own has taken from Zenoh, so that Zenoh's threads never wait for the reader."""
+
+    def __init__(self, capacity: int) -> None:
+        self.messages: deque[tuple[str, bytes]] = deque(maxlen=capacity)
+        self.dropped = 0
+        self.closed = False
+        self.changed = threading.Condition()
+
+    def fill(self, samples: zenoh.handlers.Handler[zenoh.Sample], topics: Sequence[str]) -> None:
+        """Takes samples until the subscriber is gone."""
+        for sample in samples:
+            topic = str(sample.key_expr).rpartition("/")[2]
+            if topic in topics:
+                self._put(topic, sample)
+        with self.changed:
+            self.closed = True
+            self.changed.notify_all()
+
+    def _put(self, topic: str, sample: zenoh.Sample) -> None:
+        try:
+            check_encoding(str(sample.encoding))
+        except CrkrError as error:
+            _logger.debug("skipped a publication on %s: %s", topic, error)
+            return
+        with self.changed:
+            self.dropped += len(self.messages) == self.messages.maxlen
+            self.messages.append((topic, sample.payload.to_bytes()))
+            self.changed.notify()
+
+
+@final
+class Subscription:
+    """Receives publications until closed; goes on by itself after the server restarts."""
+
+    def __init__(self, session: zenoh.Session, task: str, topics: Sequence[str], capacity: int) -> None:
+        unknown = [topic for topic in topics if topic not in TOPICS]
+        if unknown or not topics or capacity < 1:
+            raise Invalid(f"subscribe to one or more of {', '.join(TOPICS)} with capacity >= 1; got {topics!r}")
+        # One subscriber for several topics keeps their order.
+        subscriber = session.declare_subscriber(
+            pub_key(task, topics[0] if len(topics) == 1 else "*"), zenoh.handlers.FifoChannel(1024)
+        )
+        self._buffer = _Buffer(capacity)
+        self._thread = threading.Thread(
+            target=self._buffer.fill, args=(subscriber.handler, tuple(topics)), name=f"crkr-{task}", daemon=True
+        )
+        self._thread.start()
+        self._finalizer = weakref.finalize(self, _undeclare, subscriber)
+
+    @property
+    def dropped(self) -> int:
+        """Publications lost here because the reader was slow; Zenoh may lose more on the way and does not count."""
+        return self._buffer.dropped
+
+    def receive(self, timeout_s: float) -> tuple[str, dict[str, Any]] | None:
+        """The next publication as (topic, message), or None if there is none within `timeout_s` or ever again."""
+        buffer, deadline = self._buffer, time.monotonic() + timeout_s
+        while True:
+            with buffer.changed:
+                buffer.changed.wait_for(
+                    lambda: buffer.messages or buffer.closed, timeout=max(0.0, deadline - time.monotonic())
+                )
+                if not buffer.messages:
+                    return None
+                topic, data = buffer.messages.popleft()
+            try:
+                return topic, plain(unpack(data))
+            except Invalid as error:
+                _logger.debug("skipped a publication on %s: %s", topic, error)
+
+    def close(self) -> None:
+        """Ends the subscription; a `receive` in progress returns."""
+        self._finalizer()
+        self._thread.join(timeout=2.0)
+
+    def __enter__(self) -> Subscription:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def _undeclare(subscriber: zenoh.Subscriber[Any]) -> None:
+    try:
+        subscriber.undeclare()  # type: ignore[no-untyped-call]  # zenoh's stub gives it no return type
+    except zenoh.ZError as error:
+        _logger.debug("undeclaring: %s", error)

@@ -1,0 +1,272 @@
+"""One task of a server: ask for goals, report what they cost, look at what was learned."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, Final, final
+from uuid import UUID
+
+from crkr.client.presence import Presence
+from crkr.client.rpc import Rpc, plain, reading
+from crkr.client.subscription import TOPICS, Subscription
+from crkr.protocol import (
+    MAX_TELEMETRY_BYTES,
+    Explanation,
+    Invalid,
+    Prediction,
+    PredictRequest,
+    Receipt,
+    ReportRequest,
+    StoredTrial,
+    TaskSpec,
+    Trial,
+    UnknownTask,
+    admin_key,
+    make_trials,
+    pack,
+    pub_key,
+    rpc_key,
+    task_key,
+)
+from crkr.protocol.checks import finite_array, integer, required
+
+__all__ = ["Task"]
+
+
+@final
+class Task:
+    """A task by name; every call has a deadline and raises the protocol's typed errors.
+
+    Every method may raise `Unavailable` (no answer by the deadline) and `UnknownTask`; only others are listed.
+
+    Attributes:
+        name: The task's name.
+        created: Whether `Client.create_task` made it just now; None for a task that was looked up.
+    """
+
+    def __init__(self, rpc: Rpc, name: str, *, created: bool | None = None) -> None:
+        self.name: Final = name
+        self.created: Final = created
+        self._rpc = rpc
+        self._spec: TaskSpec | None = None
+
+    @property
+    def spec(self) -> TaskSpec:
+        """The specification in force, fetched once; `configure` renews it."""
+        if self._spec is None:
+            reply = self._rpc.call(rpc_key("tasks"), {})
+            with reading("tasks"):
+                specs = [entry["spec"] for entry in required(reply, "tasks")]
+                mine = [spec for spec in specs if spec.get("name") == self.name]
+                if not mine:
+                    names = ", ".join(sorted(str(spec.get("name")) for spec in specs)) or "none"
+                    raise UnknownTask(f"no task {self.name!r} at {self._rpc.transport.endpoint}; it has: {names}")
+                self._spec = TaskSpec.from_dict(mine[0])
+        return self._spec
+
+    def predict(
+        self,
+        states: object,
+        explore: bool = False,
+        *,
+        trial_ids: Sequence[UUID] | None = None,
+        worker: str | None = None,
+        timeout_s: float | None = None,
+    ) -> Prediction:
+        """Goals for one state (d,) or a batch (b, d).
+
+        Args:
+            states: The situation, or b of them.
+            explore: Draw goals to try rather than the best known.
+            trial_ids: Ids of the trials to come, which fix the draw; made here where absent.
+            worker: Who asks; the server then counts the trial as open until it is reported.
+            timeout_s: Deadline [s].
+
+        Raises:
+            Invalid: States of another shape, or not finite.
+            NoSamples: Nothing was learned yet.
+            NovelState: The task refuses states this far from its samples.
+        """
+        request = PredictRequest.create(
+            len(self.spec.state),
+            states,
+            explore=explore,
+            trial_ids=None if trial_ids is None else list(trial_ids),
+            worker=worker,
+        )
+        message = request.to_wire()
+        if "trial_ids" not in message:  # a retry must be the same question, so that it gets the same draw
+            message["trial_ids"] = _random_ids(request.count)
+        reply = self._rpc.call(task_key(self.name, "predict"), message, timeout_s)
+        with reading("predict"):
+            return Prediction.from_wire(reply, request.states)
+
+    def report(
+        self,
+        answer: Prediction | None = None,
+        *,
+        state: object = None,
+        goal: object = None,
+        cost: object,
+        success: object,
+        kind: str = "trial",
+        id: UUID | bytes | Sequence[UUID | bytes] | None = None,  # noqa: A002 - the protocol's word
+        outcome: object = None,
+        worker: str | None = None,
+        model_version: int | None = None,
+        info: Mapping[str, Any] | Sequence[Mapping[str, Any]] | None = None,
+        wait: bool = False,
+        timeout_s: float | None = None,
+    ) -> Receipt:
+        """Stores what one trial or a batch cost; when this returns, it is on the server's disk.
+
+        Args:
+            answer: The prediction that was tried; or give `state` and `goal`.
+            state: (d,) or (b, d).
+            goal: (p,) or (b, p) executed, within the bounds.
+            cost: In [0, 1], one or b; None for kind "failed".
+            success: One flag, or b.
+            kind: "trial", "demonstration", "evaluation" or "failed".
+            id: One id or b; the answer's, or random ones, where absent.
+            outcome: (q,) or (b, q) measured, NaN where not observed.
+            worker: Who reports.
+            model_version: The model that proposed the goals.
+            info: Plain data to keep with it.
+            wait: Return only after the model includes it.
+            timeout_s: Deadline [s].
+
+        Raises:
+            Invalid: A value of the wrong shape or out of range; nothing was stored.
+            Conflict: An id is known with other content; nothing was stored.
+            StorageError: The server cannot write; nothing was stored.
+        """
+        trials = make_trials(
+            self.spec,
+            answer,
+            state=state,
+            goal=goal,
+            cost=cost,
+            success=success,
+            kind=kind,
+            id=id,
+            outcome=outcome,
+            worker=worker,
+            model_version=model_version,
+            info=info,
+        )
+        return self.report_trials(trials, wait=wait, timeout_s=timeout_s)
+
+    def report_trials(self, trials: Sequence[Trial], *, wait: bool = False, timeout_s: float | None = None) -> Receipt:
+        """Stores trials, all or none; as `report`."""
+        message = ReportRequest(tuple(trials), wait).to_wire()
+        reply = self._rpc.call(task_key(self.name, "report"), message, timeout_s)
+        with reading("report"):
+            return Receipt.from_wire(reply)
+
+    def status(self, *, timeout_s: float | None = None) -> dict[str, Any]:
+        """Counts, versions, workers, queues and latencies, as the server sees them."""
+        return self._read("status", {}, timeout_s)
+
+    def model(self, known_version: int | None = None, *, timeout_s: float | None = None) -> dict[str, Any]:
+        """The model as data (arrays, ids as UUIDs), or `unchanged` if it still has `known_version`."""
+        return self._read("model", {} if known_version is None else {"known_version": known_version}, timeout_s)
+
+    def samples(
+        self, after: int = 0, limit: int = 1000, *, timeout_s: float | None = None
+    ) -> tuple[list[StoredTrial], int | None]:
+        """A page of the log: trials with seq > `after`, and the seq to go on after (None at the end)."""
+        spec = self.spec
+        reply = self._rpc.call(task_key(self.name, "samples"), {"after": after, "limit": limit}, timeout_s)
+        with reading("samples"):
+            following = reply.get("next")
+            page = [StoredTrial.from_wire(entry, spec) for entry in required(reply, "samples")]
+            return page, None if following is None else integer(following, "next")
+
+    def iter_samples(self, after: int = 0) -> Iterator[StoredTrial]:
+        """Every stored trial with seq > `after`, in order, page by page."""
+        position: int | None = after
+        while position is not None:
+            page, position = self.samples(position)
+            yield from page
+
+    def explain(self, state: object, sample_id: UUID | None = None, *, timeout_s: float | None = None) -> Explanation:
+        """The samples behind the answer for a state (d,), and where one sample stands."""
+        message: dict[str, Any] = {"state": finite_array(state, "state", (len(self.spec.state),))}
+        if sample_id is not None:
+            message["sample_id"] = sample_id
+        reply = self._rpc.call(task_key(self.name, "explain"), message, timeout_s)
+        with reading("explain"):
+            return Explanation.from_wire(reply)
+
+    def recost(
+        self, ids: Sequence[UUID], costs: object, reason: str = "", *, timeout_s: float | None = None
+    ) -> dict[str, Any]:
+        """Replaces the costs of stored trials: `changed`, `seq`, `model_version`."""
+        checked = finite_array(costs, "costs", (len(ids),))
+        return self._admin("recost", {"ids": list(ids), "costs": checked, "reason": reason}, timeout_s)
+
+    def remove(self, ids: Sequence[UUID], reason: str = "", *, timeout_s: float | None = None) -> dict[str, Any]:
+        """Takes trials out of learning; they stay in the log, marked: `removed`, `seq`, `model_version`."""
+        return self._admin("remove", {"ids": list(ids), "reason": reason}, timeout_s)
+
+    def refit(self, *, timeout_s: float | None = None) -> dict[str, Any]:
+        """Fits the kernel to the evidence: the hyper-parameters, or `accepted` False."""
+        return self._admin("refit", {}, timeout_s)
+
+    def configure(self, changes: Mapping[str, Any], *, timeout_s: float | None = None) -> dict[str, Any]:
+        """Changes settings of `crkr.protocol.CHANGEABLE`; returns the answer, which holds the spec in force."""
+        reply = self._admin("configure", {"changes": dict(changes)}, timeout_s)
+        self._spec = None
+        return reply
+
+    def archive(self, *, timeout_s: float | None = None) -> dict[str, Any]:
+        """Ends learning for good; reads and stored data stay."""
+        return self._admin("archive", {}, timeout_s)
+
+    def announce(self, worker_id: str, *, timeout_s: float | None = None) -> Presence:
+        """Shows a worker as alive while the returned context lasts.
+
+        Raises:
+            Invalid: An id that cannot stand in a key.
+            Conflict: A living worker has that id.
+        """
+        return Presence.announce(self._rpc.transport, self.name, worker_id, self._rpc.deadline(timeout_s))
+
+    def publish(self, topic: str, message: Mapping[str, Any]) -> None:
+        """Publishes telemetry ("trial" or "evaluation"); it may be lost, and this never waits.
+
+        Raises:
+            Invalid: Another topic, or more than `MAX_TELEMETRY_BYTES`.
+        """
+        if topic not in ("trial", "evaluation"):
+            raise Invalid(f"workers publish on 'trial' or 'evaluation'; got {topic!r}")
+        payload = pack(message)
+        if len(payload) > MAX_TELEMETRY_BYTES:
+            raise Invalid(
+                f"{topic} telemetry has {len(payload)} bytes; the limit is {MAX_TELEMETRY_BYTES}: thin out its trace"
+            )
+        self._rpc.transport.publish(pub_key(self.name, topic), topic, payload)
+
+    def subscribe(
+        self, topics: Sequence[str] = TOPICS, capacity: int = 4096, *, timeout_s: float | None = None
+    ) -> Subscription:
+        """Receives what workers ("trial", "evaluation") and the server ("model") publish, from now on."""
+        session = self._rpc.transport.connect(self._rpc.deadline(timeout_s))
+        return Subscription(session, self.name, topics, capacity)
+
+    def _read(self, verb: str, message: Mapping[str, Any], timeout_s: float | None) -> dict[str, Any]:
+        reply = self._rpc.call(task_key(self.name, verb), message, timeout_s)
+        with reading(verb):
+            return {key: plain(value) for key, value in reply.items()}
+
+    def _admin(self, verb: str, message: Mapping[str, Any], timeout_s: float | None) -> dict[str, Any]:
+        reply = self._rpc.call(admin_key(self.name, verb), message, timeout_s)
+        with reading(verb):
+            return {key: plain(value) for key, value in reply.items()}
+
+
+def _random_ids(count: int) -> list[UUID]:
+    """`count` random UUIDs from one read of the system's source."""
+    data = os.urandom(16 * count)
+    return [UUID(bytes=data[start : start + 16], version=4) for start in range(0, 16 * count, 16)]

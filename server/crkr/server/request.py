@@ -91,12 +91,12 @@ class Request:
         if self.answered:
             return
         self.answered = True
+        self._latencies.record(self.verb, time.perf_counter() - self._received)
         try:
             with self._query:
                 self._query.reply(self._query.key_expr, payload, encoding=encoding(self.verb))
         except zenoh.ZError as error:  # the client left, or the session is closing: nobody waits for this answer
             logger.debug("reply to %s was not sent: %s", self.verb, error)
-        self._latencies.record(self.verb, time.perf_counter() - self._received)
 
     def fail(self, error: CrkrError) -> None:
         """Answers with an error."""

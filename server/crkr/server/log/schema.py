@@ -44,9 +44,9 @@ def storage_errors(doing: str) -> Iterator[None]:
     try:
         yield
     except sqlite3.Error as error:
-        name = getattr(error, "sqlite_errorname", None)
-        code = f" ({name})" if name else ""
-        raise StorageError(f"cannot {doing}: {error}{code}") from error
+        name = str(getattr(error, "sqlite_errorname", ""))
+        advice = "; restore a backup" if name in ("SQLITE_CORRUPT", "SQLITE_NOTADB") else ""
+        raise StorageError(f"cannot {doing}: {error}{name and f' ({name})'}{advice}") from error
 
 
 def connect(path: Path, *, read_only: bool = False) -> sqlite3.Connection:
@@ -89,7 +89,6 @@ def _prepare(connection: sqlite3.Connection, path: Path) -> None:
         raise StorageError(
             f"the task log {path} has schema version {version}, this crkr knows {SCHEMA_VERSION}: use a newer crkr"
         )
-    _check_size(connection, path)
     connection.execute("PRAGMA journal_mode = WAL")
     connection.execute("PRAGMA synchronous = FULL")
     if not tables:
@@ -100,13 +99,3 @@ def _prepare(connection: sqlite3.Connection, path: Path) -> None:
     connection.execute("BEGIN IMMEDIATE")  # fails here, not at the first report, where nothing can be written
     connection.execute(CACHE)
     connection.execute("COMMIT")
-
-
-def _check_size(connection: sqlite3.Connection, path: Path) -> None:
-    """Refuses a file that was cut off; pages that are only in the write-ahead log are not missing."""
-    pages = int(connection.execute("PRAGMA page_count").fetchone()[0])
-    size = int(connection.execute("PRAGMA page_size").fetchone()[0])
-    wal = path.with_name(path.name + "-wal")
-    have = path.stat().st_size + (wal.stat().st_size if wal.exists() else 0)
-    if have < pages * size:
-        raise StorageError(f"the task log {path} is cut off: {have} of {pages * size} bytes; restore a backup")

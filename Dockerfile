@@ -24,6 +24,10 @@ COPY --from=wheel /wheels /opt/wheel
 RUN /opt/crkr/bin/pip install --no-cache-dir --no-deps /opt/wheel/*.whl
 
 FROM ${BASE}
+ARG ROLE
+RUN if [ "${ROLE}" = sim ]; then \
+      apt-get update -q && apt-get install -yq --no-install-recommends libgomp1 && rm -rf /var/lib/apt/lists/*; \
+    fi # Pinocchio wants an OpenMP runtime
 RUN useradd --uid 10001 --no-create-home --home-dir /data crkr && install -d -o crkr -g crkr /data
 COPY --from=environment /opt/crkr /opt/crkr
 ENV PATH=/opt/crkr/bin:$PATH PYTHONUNBUFFERED=1

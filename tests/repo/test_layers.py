@@ -45,7 +45,7 @@ IMPURE = frozenset({"asyncio", "concurrent", "io", "multiprocessing", "os", "pat
 # Unpickling runs whatever it is sent.
 UNSAFE = frozenset({"marshal", "pickle", "shelve"})
 # Bindings without type information are wrapped, each in one module.
-WRAPPED = ("clarabel", "coal", "pinocchio")
+WRAPPED = ("clarabel", "coal")
 
 
 def imported_modules(source: str, package: str) -> Iterator[tuple[int, str]]:

@@ -34,7 +34,7 @@ def _run(statement: str, *, block: bool) -> tuple[str, set[str]]:
 
 
 def test_importing_the_client_imports_no_heavy_library() -> None:
-    _, modules = _run("import crkr.client", block=False)
+    _, modules = _run("from crkr.client import Client", block=False)
     assert "zenoh" in modules
     assert modules.isdisjoint(HEAVY)
 
@@ -46,7 +46,7 @@ def test_asking_for_help_imports_no_heavy_library() -> None:
 
 
 def test_the_client_and_the_command_work_without_the_extras() -> None:
-    _run("import crkr.client, crkr.protocol", block=True)
+    _run("from crkr.client import *; from crkr.protocol import *", block=True)
     text, _ = _run(HELP, block=True)
     assert "server" in text
 

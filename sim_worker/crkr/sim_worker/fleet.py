@@ -6,13 +6,13 @@ import multiprocessing
 import signal
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
 from typing import Any, Final, final
 
 from crkr.sim_worker.line import Line, LineClosed
+from crkr.sim_worker.stop_request import ctrl_c_blocked
 
 __all__ = ["Fleet", "Member"]
 
@@ -80,7 +80,7 @@ class Fleet:
         """Starts `body(settings, connection)` in a process of its own."""
         ours, theirs = self._context.Pipe()
         process = self._context.Process(target=body, args=(settings, theirs), name=name)
-        with _ctrl_c_blocked():
+        with ctrl_c_blocked():
             process.start()
         theirs.close()  # so that the member's end is also the line's
         member = Member(name, process, Line(ours))
@@ -134,13 +134,3 @@ class Fleet:
 
 def _handles(member: Member) -> tuple[Any, Any]:
     return member.line.connection, member.process.sentinel
-
-
-@contextmanager
-def _ctrl_c_blocked() -> Iterator[None]:
-    """A process started meanwhile inherits the mask and never sees SIGINT; ours is delivered afterwards."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)

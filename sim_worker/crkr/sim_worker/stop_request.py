@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
 from types import FrameType
 from typing import Any, Final, final
 
-__all__ = ["StopRequest"]
+__all__ = ["StopRequest", "ctrl_c_blocked"]
 
 SIGNALS: Final = (signal.SIGINT, signal.SIGTERM)
 
@@ -42,3 +44,13 @@ class StopRequest:
     def _remember(self, number: int, frame: FrameType | None) -> None:
         del frame  # Unused.
         self.signal = self.signal or signal.Signals(number)
+
+
+@contextmanager
+def ctrl_c_blocked() -> Iterator[None]:
+    """A process started meanwhile inherits the mask and never sees SIGINT; ours is delivered afterwards."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)

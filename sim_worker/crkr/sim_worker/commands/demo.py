@@ -26,9 +26,7 @@ def demo(
     workers: Annotated[int, typer.Option(min=1, max=256, help="Training processes.")] = 2,
     seed: Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Of demonstrations, contexts and exploration.")] = 0,
     dashboard: Annotated[bool, typer.Option(help="Run the live viewer beside it; needs the extra 'dashboard'.")] = True,
-    data: Annotated[Path, typer.Option(help="Folder for all that it leaves; a run there is resumed.")] = Path(
-        "crkr-demo"
-    ),
+    data: Annotated[Path, typer.Option(help="Folder of all it leaves; a run there is resumed.")] = Path("crkr-demo"),
     port: Annotated[
         int | None, typer.Option(min=1, max=65535, help="Loopback port of the server; a free one unless given.")
     ] = None,

@@ -2,6 +2,4 @@
 
 from __future__ import annotations
 
-from crkr.sim_worker.demo.run_history import EpochScore, RunHistory
-
-__all__ = ["EpochScore", "RunHistory"]
+__all__: list[str] = []

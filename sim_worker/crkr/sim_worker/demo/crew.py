@@ -76,19 +76,9 @@ class Crew:
     def start_workers(self) -> None:
         """Starts `crkr workers`."""
         settings = self._settings
-        options = {"-n": settings.workers, "--trials": settings.trials, "--seed": settings.seed}
-        numbers = [str(word) for option in options.items() for word in option]
-        command = [
-            "workers",
-            settings.skill,
-            "--task",
-            settings.task,
-            *numbers,
-            "--connect",
-            settings.endpoint,
-            "--json",
-        ]
-        self._workers = self._child("workers", command)
+        command = ["workers", settings.skill, "--task", settings.task, "--connect", settings.endpoint, "--json"]
+        numbers = ["-n", str(settings.workers), "--trials", str(settings.trials), "--seed", str(settings.seed)]
+        self._workers = self._child("workers", [*command, *numbers])
 
     def check(self) -> bool:
         """Passes on what the processes say; False when the workers are done.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from crkr.sim_worker.demo.run_history import RunHistory
+from crkr.sim_worker.run_history import RunHistory
 from crkr.sim_worker.wilson import wilson_interval
 
 if TYPE_CHECKING:
@@ -34,13 +34,14 @@ def draw_learning_curve(history: RunHistory, title: str, budget: int, path: Path
 
     with mpl.rc_context({"font.size": 10, "axes.spines.top": False, "axes.spines.right": False}):
         figure = Figure(figsize=(8.0, 4.5), dpi=120, layout="constrained")
+        FigureCanvasAgg(figure)  # no window system is asked for
         axes = figure.add_subplot()
         _curves(axes, history)
         _budget(axes, history, budget)
         axes.set(title=title, xlabel="training trials", ylabel="success on the fixed contexts [%]", ylim=(0.0, 101.0))
         axes.grid(alpha=0.25)
         axes.legend(loc="lower right", frameon=False)
-        FigureCanvasAgg(figure).print_png(path)
+        figure.savefig(path, format="png")
     return True
 
 

@@ -1,0 +1,176 @@
+"""Judges a task's policy on many fresh contexts: one question to the server, then execution in several processes."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, Final, final
+
+import numpy as np
+
+from crkr.client import Task
+from crkr.protocol import MAX_STATES, Invalid, Prediction, Trial, task_id
+from crkr.sim_worker.evaluation import COST_OF_NOTHING, criteria
+from crkr.sim_worker.oracle import Planner
+from crkr.sim_worker.pool import spread
+from crkr.sim_worker.randomness import fresh_rng
+from crkr.sim_worker.skill import Floats, Outcome, Skill, SkillOptions
+from crkr.sim_worker.wilson import wilson_interval
+
+__all__ = ["Assessment", "Played", "ask", "play", "record"]
+
+CHUNK: Final = 10
+STORED_AT_ONCE: Final = 500
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Played:
+    """One context, played.
+
+    Attributes:
+        ball: Which.
+        result: What the policy's goal gave, without a trace.
+        oracle: Success of the skill's own planner by criterion; None where it has none or was not asked.
+    """
+
+    ball: int
+    result: Outcome
+    oracle: dict[str, bool] | None
+
+
+@final
+@dataclass(slots=True)
+class Assessment:
+    """Counts over the contexts played.
+
+    Attributes:
+        balls: How many were played.
+        successes: By criterion.
+        reasons: How trials ended, by the skill's words.
+        oracle: The planner's successes by criterion; empty where there is none.
+    """
+
+    balls: int = 0
+    successes: Counter[str] = field(default_factory=Counter)
+    reasons: Counter[str] = field(default_factory=Counter)
+    oracle: Counter[str] = field(default_factory=Counter)
+
+    def add(self, played: Played) -> None:
+        """Counts one context."""
+        self.balls += 1
+        for name, success in criteria(played.result.success, played.result.info).items():
+            self.successes[name] += success
+        self.reasons[str(played.result.info.get("reason", "success" if played.result.success else "failure"))] += 1
+        for name, success in (played.oracle or {}).items():
+            self.oracle[name] += success
+
+    def to_dict(self) -> dict[str, Any]:
+        """Rates, their 95 % intervals, reasons, and the planner's rates."""
+        return {
+            **{name: count / self.balls for name, count in self.successes.items()},
+            "ci95": {name: list(wilson_interval(count, self.balls)) for name, count in self.successes.items()},
+            "reasons": dict(self.reasons.most_common()),
+            "oracle": {name: count / self.balls for name, count in self.oracle.items()} or None,
+        }
+
+
+def ask(task: Task, skill: Skill, balls: int, seed: int) -> list[Prediction]:
+    """The policy's goals for `balls` fresh contexts, in messages of at most 4096.
+
+    Raises:
+        Invalid: The skill has other states or goals than the task.
+    """
+    mine, theirs = skill.spec(), task.spec
+    if (len(mine.state), len(mine.goal)) != (len(theirs.state), len(theirs.goal)):
+        raise Invalid(
+            f"the skill maps R^{len(mine.state)} to R^{len(mine.goal)}, but task {task.name!r} maps "
+            f"R^{len(theirs.state)} to R^{len(theirs.goal)}; name its skill with --skill"
+        )
+    states = np.array([skill.reset(fresh_rng(seed, ball)) for ball in range(balls)])
+    return [task.predict(states[start : start + MAX_STATES]) for start in range(0, balls, MAX_STATES)]
+
+
+def play(
+    skill: str,
+    options: SkillOptions,
+    goals: Floats,
+    seed: int,
+    *,
+    jobs: int,
+    oracle: bool,
+    show: Callable[[int], None],
+) -> list[Played]:
+    """Executes goals (b, p) in the contexts that `ask` asked about, `jobs` at a time; in order of the contexts.
+
+    Raises:
+        CrkrError: A process was lost.
+    """
+    starts = range(0, len(goals), CHUNK)
+    parts = [_Part(start, goals[start : start + CHUNK], seed, oracle) for start in starts]
+    played: dict[int, Played] = {}
+    for results in spread(skill, options, _play_part, parts, jobs):
+        played.update({one.ball: one for one in results})
+        show(len(played))
+    return [played[ball] for ball in range(len(goals))]
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class _Part:
+    """Goals (n, p) for the contexts from `start` on."""
+
+    start: int
+    goals: Floats
+    seed: int
+    oracle: bool
+
+
+def _play_part(skill: Skill, part: _Part) -> list[Played]:
+    planner = skill if part.oracle and isinstance(skill, Planner) else None
+    played = []
+    for ball, goal in enumerate(part.goals, part.start):
+        state = skill.reset(fresh_rng(part.seed, ball))
+        result = skill.execute(goal)
+        best = None if planner is None else dict(planner.best_plan(state))
+        bare = Outcome(result.cost, result.success, result.executed, result.outcome, dict(result.info), None)
+        played.append(Played(ball, bare, best))
+    return played
+
+
+def record(task: Task, answers: list[Prediction], played: list[Played], seed: int, source: str) -> int:
+    """Stores the contexts played as evaluations; returns how many were new.
+
+    Args:
+        task: Where.
+        answers: The policy's answers.
+        played: What they gave, in order.
+        seed: Of the contexts.
+        source: Launcher and environment, as part of the ids.
+    """
+    rows = [
+        (answer.states[row], answer.goals[row], answer.model_version) for answer in answers for row in _rows(answer)
+    ]
+    trials = [
+        Trial.create(
+            task.spec,
+            id=task_id(task.name, f"evaluate/{source}/{seed}/{one.ball}/{version}"),
+            state=state,
+            goal=goal,
+            cost=COST_OF_NOTHING if one.result.cost is None else one.result.cost,
+            success=one.result.success,
+            kind="evaluation",
+            outcome=one.result.outcome,
+            worker="evaluate",
+            model_version=version,
+            info={**one.result.info, "ball": one.ball, "seed": seed, "source": source},
+        )
+        for one, (state, goal, version) in zip(played, rows, strict=True)
+    ]
+    starts = range(0, len(trials), STORED_AT_ONCE)
+    return sum(task.report_trials(trials[start : start + STORED_AT_ONCE]).accepted for start in starts)
+
+
+def _rows(answer: Prediction) -> range:
+    return range(len(answer.goals))

@@ -1,0 +1,113 @@
+"""`crkr evaluate`: how good a task's policy is on fresh contexts."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from crkr.client.console import print_json, stderr, stdout
+from crkr.client.options import Connect, Json, Timeout, ZenohConfig
+
+if TYPE_CHECKING:
+    from crkr.client import Task
+
+__all__ = ["evaluate"]
+
+EARLY = 1000
+"""The evaluation before learning is among the first so many training trials of the log."""
+
+
+def evaluate(
+    task: Annotated[str, typer.Argument(help="Name of the task.")],
+    skill: Annotated[
+        str | None,
+        typer.Option(help="Who plays: a skill, or package.module:factory; the task's name unless given."),
+    ] = None,
+    balls: Annotated[int, typer.Option(min=1, max=1_000_000, help="How many contexts.")] = 1000,
+    seed: Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Of the contexts.")] = 0,
+    environment: Annotated[str | None, typer.Option(help="Which simulator, e.g. contact.")] = None,
+    launcher: Annotated[str | None, typer.Option(help="Where contexts come from, e.g. nominal.")] = None,
+    record: Annotated[bool, typer.Option("--record", help="Store the trials as evaluations; else nothing.")] = False,
+    oracle: Annotated[bool, typer.Option(help="Play the same contexts by the skill's planner, if it has one.")] = True,
+    jobs: Annotated[int, typer.Option(min=1, max=256, help="Processes that play.")] = 2,
+    connect: Connect = None,
+    timeout: Timeout = 30.0,
+    zenoh_config: ZenohConfig = None,
+    json: Json = False,
+) -> None:
+    """Judge a task's policy on fresh contexts, without exploration.
+
+    The contexts are never those of the fixed evaluation set. Rates come with Wilson's 95 % intervals, beside the
+    skill's own planner and the rate before learning.
+
+    Example: crkr evaluate table-tennis --balls 1000 --seed 7
+    """
+    import numpy as np
+
+    from crkr.client import Client
+    from crkr.sim_worker import assessment
+    from crkr.sim_worker.progress import Progress
+    from crkr.sim_worker.skill import SkillOptions
+    from crkr.sim_worker.skills import load_skill
+
+    name = skill or task
+    options = SkillOptions(environment=environment, launcher=launcher, name=task)
+    player = load_skill(name, options)
+    with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
+        judged = client.task(task)
+        answers = assessment.ask(judged, player, balls, seed)
+        goals = np.concatenate([answer.goals for answer in answers])
+        with Progress(stderr, "evaluating", balls, "contexts") as progress:
+            played = assessment.play(
+                name, options, goals, seed, jobs=min(jobs, balls), oracle=oracle, show=progress.show
+            )
+        score = assessment.Assessment()
+        for one in played:
+            score.add(one)
+        source = f"{environment or 'default'}/{launcher or 'default'}"
+        stored = assessment.record(judged, answers, played, seed, source) if record else 0
+        result = {
+            "task": task,
+            **score.to_dict(),
+            "balls": balls,
+            "seed": seed,
+            "environment": environment,
+            "launcher": launcher,
+            "before_learning": _before(judged),
+            "model_version": answers[0].model_version,
+            "active": answers[0].active,
+            "recorded": stored,
+        }
+    if json:
+        print_json(result)
+    else:
+        _print(result, list(score.successes))
+
+
+def _before(task: Task) -> dict[str, Any] | None:
+    """Success on the fixed contexts at epoch 0, if the log has it near its start."""
+    from crkr.sim_worker.run_history import RunHistory
+
+    history = RunHistory(task.spec)
+    for stored in task.iter_samples():
+        history.add(stored)
+        if history.trained > EARLY:
+            break
+    first = next((score for score in history.epochs if score.epoch == 0), None)
+    return None if first is None else {**first.rates(), "balls": first.balls}
+
+
+def _print(result: dict[str, Any], names: list[str]) -> None:
+    stdout.print(f"{result['task']}: {result['balls']} fresh contexts, seed {result['seed']}")
+    before, planner = result["before_learning"] or {}, result["oracle"] or {}
+    for name in names:
+        low, high = result["ci95"][name]
+        line = f"  {name:<10} {result[name]:.1%}  (95 %: {low:.1%} to {high:.1%})"
+        line += f", planner {planner[name]:.1%}" if name in planner else ""
+        line += f", before learning {before[name]:.0%} of {before['balls']} fixed contexts" if name in before else ""
+        stdout.print(line)
+    reasons = ", ".join(f"{reason} {number}" for reason, number in result["reasons"].items())
+    stdout.print(f"  reasons    {reasons}")
+    if result["recorded"]:
+        stdout.print(f"  recorded   {result['recorded']} evaluations")

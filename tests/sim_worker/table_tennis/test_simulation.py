@@ -57,7 +57,7 @@ def test_a_drop_from_30_cm_returns_to_between_23_and_26_cm(alone: BallAlone) -> 
 def test_an_oblique_bounce_departs_from_the_rigid_one_by_a_few_percent(
     alone: BallAlone, velocity: tuple[float, float, float]
 ) -> None:
-    """The soft contact's friction also pushes: mean restitution within 5 %, tangential speed within 6 %, spin within 15 %.
+    """Soft friction also pushes: mean restitution within 5 %, tangential speed within 6 %, spin within 15 %.
 
     Spin is low because the ball sinks in by some millimetres, which shortens friction's lever.
     """

@@ -13,10 +13,11 @@ CENTRE, NORMAL = np.array([-1.5, 0.1, 1.0]), np.array([0.96, 0.0, 0.28])
 
 
 def _play(after: Ball, *, miss: tuple[float, float, float] = (0.0, 0.0, 0.0), touched: bool = True) -> Play:
-    point: np.ndarray = CENTRE + FACE_OFFSET * NORMAL + miss
+    point = CENTRE + FACE_OFFSET * NORMAL + miss
+    x, y, z = point.tolist()
     return Play(
         hit_time=0.6,
-        ball=Ball(*point.tolist(), 0.0, 0.0, 0.0),
+        ball=Ball(x, y, z, 0.0, 0.0, 0.0),
         untouched=point,
         paddle=Paddle(CENTRE, NORMAL, np.zeros(3)),
         touched=touched,

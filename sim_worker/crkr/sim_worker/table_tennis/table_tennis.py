@@ -16,12 +16,12 @@ from crkr.sim_worker.table_tennis.collision import CollisionCheck
 from crkr.sim_worker.table_tennis.contact import ContactEnvironment
 from crkr.sim_worker.table_tennis.launchers import LAUNCHERS, Launcher
 from crkr.sim_worker.table_tennis.planner import HOME, Planner
-from crkr.sim_worker.table_tennis.play import Environment
+from crkr.sim_worker.table_tennis.play import Environment, Play
 from crkr.sim_worker.table_tennis.primitive import Infeasible, JointLimits, JointTrajectory, Primitive
 from crkr.sim_worker.table_tennis.simulation import Diverged, Simulation
 from crkr.sim_worker.table_tennis.spec import task_spec
 from crkr.sim_worker.table_tennis.spread import spread_out
-from crkr.sim_worker.table_tennis.tracing import trace
+from crkr.sim_worker.table_tennis.tracing import Motion, motion, trace
 from crkr.sim_worker.table_tennis.tracker import judge
 
 __all__ = ["ENVIRONMENTS", "TableTennis"]
@@ -93,18 +93,27 @@ class TableTennis:
     def attempt(self, ball: Floats, goal: Floats) -> Outcome:
         """As `execute`, for any ball (6,)."""
         try:
-            goal = np.asarray(goal, dtype=np.float64)
-        except (TypeError, ValueError):
-            return _refused("invalid", "the goal is not numeric")
-        if goal.shape != self._low.shape or not ((goal >= self._low) & (goal <= self._high)).all():
-            return _refused("invalid", "the goal has another shape, is not finite or is out of bounds")
+            swing, play = self._play(ball, goal)
+        except _Refused as refusal:
+            return refusal.outcome
+        verdict = judge(play)
+        outcomes = {"paper": verdict.paper, "strict": verdict.strict}
+        return Outcome(
+            cost=verdict.cost,
+            success=outcomes[self._criterion],
+            executed=True,
+            outcome=verdict.outcome,
+            info={"reason": verdict.reason, "outcomes": outcomes},
+            trace=trace(self._simulation, motion(swing, play, verdict)) if self._traces else None,
+        )
+
+    def film(self, ball: Floats, goal: Floats, interval: float) -> Motion | None:
+        """What `attempt` does, in rows of at most `interval` [s], for drawing; None where the goal is refused."""
         try:
-            swing = self._primitive.trajectory(HOME, goal[:6], goal[6:12], float(goal[12]))
-        except Infeasible as error:
-            return _refused("infeasible", error.message)
-        if (row := self._collision.first(_between(swing))) is not None:
-            return _refused("collision", f"the arm would touch the table or the net at sample {row} of the swing")
-        return self._executed(ball, swing, float(goal[12]))
+            swing, play = self._play(ball, goal)
+        except _Refused:
+            return None
+        return motion(swing, play, judge(play), interval)
 
     def demonstrations(self, count: int, rng: np.random.Generator) -> Sequence[Demonstration]:
         """Plans successful returns for balls spread over the central part of the launcher."""
@@ -145,23 +154,37 @@ class TableTennis:
         """Table, net, floor, pedestal, arm, paddle and ball."""
         return self._simulation.geoms()
 
-    def _executed(self, ball: Floats, swing: JointTrajectory, hit_time: float) -> Outcome:
+    def _play(self, ball: Floats, goal: Floats) -> tuple[JointTrajectory, Play]:
         try:
-            play = self._environment.play(ball, swing, hit_time)
+            goal = np.asarray(goal, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise _Refused("invalid", "the goal is not numeric") from None
+        if goal.shape != self._low.shape or not ((goal >= self._low) & (goal <= self._high)).all():
+            raise _Refused("invalid", "the goal has another shape, is not finite or is out of bounds")
+        hit_time = float(goal[12])
+        try:
+            swing = self._primitive.trajectory(HOME, goal[:6], goal[6:12], hit_time)
+        except Infeasible as error:
+            raise _Refused("infeasible", error.message) from error
+        if (row := self._collision.first(_between(swing))) is not None:
+            raise _Refused("collision", f"the arm would touch the table or the net at sample {row} of the swing")
+        try:
+            return swing, self._environment.play(ball, swing, hit_time)
         except Diverged as error:
             self.diverged += 1
             _log.warning("trial dropped (%d so far): %s", self.diverged, error)
-            return _refused("diverged", str(error))
-        verdict = judge(play)
-        outcomes = {"paper": verdict.paper, "strict": verdict.strict}
-        return Outcome(
-            cost=verdict.cost,
-            success=outcomes[self._criterion],
-            executed=True,
-            outcome=verdict.outcome,
-            info={"reason": verdict.reason, "outcomes": outcomes},
-            trace=trace(self._simulation, swing, play, verdict) if self._traces else None,
-        )
+            raise _Refused("diverged", str(error)) from error
+
+
+@final
+class _Refused(Exception):
+    """A goal that moved nothing, or nothing that could be measured."""
+
+    def __init__(self, reason: str, detail: str) -> None:
+        super().__init__(detail)
+        outcomes = {"paper": False, "strict": False}
+        info: dict[str, Any] = {"reason": reason, "detail": detail, "outcomes": outcomes}
+        self.outcome = Outcome(cost=None, success=False, executed=False, outcome=None, info=info, trace=None)
 
 
 def _environment(name: str, arm: Arm, simulation: Simulation) -> Environment:
@@ -173,11 +196,6 @@ def _between(swing: JointTrajectory) -> Floats:
     """Joint positions at the knots and half-way between them."""
     times = np.linspace(0.0, swing.time[-1], 2 * len(swing.time) - 1)
     return swing.sample(times)[0]
-
-
-def _refused(reason: str, detail: str) -> Outcome:
-    info: dict[str, Any] = {"reason": reason, "detail": detail, "outcomes": {"paper": False, "strict": False}}
-    return Outcome(cost=None, success=False, executed=False, outcome=None, info=info, trace=None)
 
 
 def _choice(what: str, value: str, known: Any) -> str:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import final
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,36 +14,54 @@ from crkr.sim_worker.table_tennis.play import Play
 from crkr.sim_worker.table_tennis.simulation import Simulation
 from crkr.sim_worker.table_tennis.tracker import Verdict, rally
 
-__all__ = ["trace"]
+__all__ = ["Motion", "motion", "trace"]
 
 Floats = NDArray[np.float64]
 
 INTERVAL = 1 / 30  # [s]
 
 
-def trace(
-    simulation: Simulation, swing: JointTrajectory, play: Play, verdict: Verdict, interval: float = INTERVAL
-) -> Trace:
-    """Poses from the snapshot until the ball comes down, or until the swing was followed if it was not touched.
+@final
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """A trial in generalised coordinates.
+
+    Attributes:
+        time: (n,) [s] from the snapshot.
+        joints: (n, 6) joint positions [rad].
+        ball: (n, 3) ball positions [m].
+    """
+
+    time: Floats
+    joints: Floats
+    ball: Floats
+
+
+def motion(swing: JointTrajectory, play: Play, verdict: Verdict, interval: float = INTERVAL) -> Motion:
+    """The trial from the snapshot until the ball comes down, or as far as it was followed if it was not touched.
 
     Up to `play.end` everything is as simulated; from then on the arm follows its swing and the ball flies freely.
 
     Args:
-        simulation: Gives the bodies' poses.
         swing: The executed swing.
         play: What happened.
         verdict: How it ended.
-        interval: Between two poses [s].
+        interval: Longest time between two rows [s].
     """
     time = np.arange(0.0, play.end, interval)
-    joints, path = _at(time, play.time, play.joints), _at(time, play.time, play.path)
+    joints, ball = _at(time, play.time, play.joints), _at(time, play.time, play.path)
     if verdict.landing is not None:
         later, flight = rally(play.after, verdict.landing[0], interval)
         time = np.concatenate([time, play.end + later])
         joints = np.concatenate([joints, swing.sample(play.end + later)[0]])
-        path = np.concatenate([path, flight])
-    positions, quaternions = simulation.poses(joints, path)
-    return Trace(time, simulation.bodies, positions, quaternions, {"ball": path})
+        ball = np.concatenate([ball, flight])
+    return Motion(time, joints, ball)
+
+
+def trace(simulation: Simulation, moved: Motion) -> Trace:
+    """The poses of the scene's bodies in a motion."""
+    positions, quaternions = simulation.poses(moved.joints, moved.ball)
+    return Trace(moved.time, simulation.bodies, positions, quaternions, {"ball": moved.ball})
 
 
 def _at(time: Floats, known: Floats, values: Floats) -> Floats:

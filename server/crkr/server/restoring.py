@@ -19,7 +19,7 @@ __all__ = ["restore"]
 logger = logging.getLogger(__name__)
 
 _BATCH: Final = 4096
-_FEW: Final = 2000  # entries after the cached radii that are cheaper to learn one by one than all radii to find anew
+_FEW: Final = 2000  # entries that are cheaper to learn as they come than all radii are to find anew
 
 
 def restore(log: TaskLog, name: str) -> ServedTask:
@@ -34,8 +34,10 @@ def restore(log: TaskLog, name: str) -> ServedTask:
     if not isinstance(first, Event) or first.kind != "create":
         raise StorageError(f"the log of task {name!r} does not begin with its creation; restore a backup")
     task = ServedTask(TaskSpec.from_dict(first.body["spec"]))
-    radii = load_radii(log, name)
-    if radii is not None and log.last(name) - _FEW <= radii.version <= log.last(name):
+    last, radii = log.last(name), load_radii(log, name)
+    if last <= _FEW:
+        _replay(task, entries)
+    elif radii is not None and last - _FEW <= radii.version <= last:
         with task.learner.bulk(radii):
             _replay(task, islice(entries, radii.version - 1))
         _replay(task, entries)

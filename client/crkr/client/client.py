@@ -8,7 +8,7 @@ from types import TracebackType
 from typing import Any, Final, TypedDict, final
 
 from crkr.client.config import Connection
-from crkr.client.rpc import Rpc, reading
+from crkr.client.rpc import Rpc, plain, reading
 from crkr.client.task import Task
 from crkr.client.transport import Transport
 from crkr.protocol import TaskSpec, check_name, rpc_key
@@ -60,7 +60,9 @@ class Client:
         Raises:
             Unavailable: No answer in time.
         """
-        return self._rpc.call(rpc_key("info"), {}, timeout_s)
+        reply = self._rpc.call(rpc_key("info"), {}, timeout_s)
+        with reading("info"):
+            return {key: plain(value) for key, value in reply.items()}
 
     def wait_until_ready(self, patience_s: float) -> dict[str, Any]:
         """Waits for the server and returns its `info`; raises `Unavailable` after `patience_s`."""

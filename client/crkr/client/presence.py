@@ -10,6 +10,7 @@ from typing import Final, final
 import zenoh
 
 from crkr.client.config import brief
+from crkr.client.forks import hold, is_forked, release
 from crkr.client.transport import Transport
 from crkr.protocol import Conflict, Internal, Invalid, live_worker_key
 
@@ -30,6 +31,7 @@ class Presence:
     def __init__(self, worker_id: str, token: zenoh.LivelinessToken) -> None:
         self.worker_id: Final = worker_id
         self._token: zenoh.LivelinessToken | None = token
+        hold(self, token)
 
     @classmethod
     def announce(cls, transport: Transport, task: str, worker_id: str, deadline: float) -> Presence:
@@ -55,7 +57,10 @@ class Presence:
 
     def close(self) -> None:
         """Withdraws the token; a second call does nothing."""
+        if is_forked():
+            return
         token, self._token = self._token, None
+        release(self)
         if token is not None:
             try:
                 token.undeclare()  # type: ignore[no-untyped-call]  # zenoh's stub gives it no return type

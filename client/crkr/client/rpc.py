@@ -9,7 +9,7 @@ from typing import Any, Final, final
 from uuid import UUID
 
 from crkr.client.transport import Transport
-from crkr.protocol import Internal, Invalid, array_from_wire, pack, unpack
+from crkr.protocol import CrkrError, Internal, Invalid, array_from_wire, pack, unpack
 
 __all__ = ["Rpc", "plain", "reading"]
 
@@ -43,7 +43,11 @@ class Rpc:
         """
         verb = key.rpartition("/")[2]
         patient = verb in _PATIENT or message.get("wait") is True
-        reply = self.transport.query(key, verb, pack(message), self.deadline(timeout_s), patient=patient)
+        try:
+            reply = self.transport.query(key, verb, pack(message), self.deadline(timeout_s), patient=patient)
+        except CrkrError as error:
+            error.details = plain(error.details)
+            raise
         with reading(verb):
             return unpack(reply)
 

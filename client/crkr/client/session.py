@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import os
 import threading
 import time
 import weakref
@@ -12,6 +11,7 @@ from typing import Final, final
 import zenoh
 
 from crkr.client.config import Connection, brief
+from crkr.client.forks import check_not_forked, hold, is_forked, release
 from crkr.protocol import Unavailable
 
 __all__ = ["NotConnected", "Session"]
@@ -39,8 +39,7 @@ class Session:
         self.connection: Final = connection
         self._lock = threading.Lock()
         self._session: zenoh.Session | None = None
-        self._finalizer: weakref.finalize[[zenoh.Session, int], Session] | None = None
-        self._process = os.getpid()
+        self._finalizer: weakref.finalize[[zenoh.Session], Session] | None = None
         self._closed = threading.Event()
 
     def open(self, deadline: float) -> zenoh.Session:
@@ -69,7 +68,7 @@ class Session:
 
     def peek(self) -> zenoh.Session | None:
         """The session if it is open."""
-        return None if self._closed.is_set() or self._process != os.getpid() else self._session
+        return None if self._closed.is_set() or is_forked() else self._session
 
     def pause(self, seconds: float) -> None:
         """Waits, but not longer than the session lives."""
@@ -78,10 +77,13 @@ class Session:
     def close(self) -> None:
         """Closes the session; calls in progress end, later ones raise `Unavailable`."""
         self._closed.set()
+        if is_forked():
+            return
         with self._lock:
             finalizer, self._finalizer, self._session = self._finalizer, None, None
         if finalizer is not None:
             finalizer()
+            release(self)
 
     def _connect(self, deadline: float) -> zenoh.Session:
         patience = min(_OPEN_S, max(0.001, deadline - time.monotonic()))
@@ -89,26 +91,19 @@ class Session:
             session = zenoh.open(self.connection.zenoh(patience))
         except zenoh.ZError as error:
             raise NotConnected(f"cannot connect: {brief(error)}") from error
-        self._finalizer = weakref.finalize(self, _close, session, self._process)
+        self._finalizer = weakref.finalize(self, _close, session)
+        hold(self, session)
         _logger.debug("connected to %s", self.connection.endpoint)
         return session
 
     def _check(self) -> None:
         if self._closed.is_set():
             raise Unavailable(f"the client of {self.connection.endpoint} is closed")
-        if self._process != os.getpid():
-            raise Unavailable(
-                "this client was made before a fork and belongs to the parent process; "
-                "make one in each process, or start processes with multiprocessing's 'spawn' method"
-            )
+        check_not_forked()
 
 
-_inherited: list[zenoh.Session] = []
-
-
-def _close(session: zenoh.Session, process: int) -> None:
-    if os.getpid() != process:
-        _inherited.append(session)  # its threads stayed in the parent: to close it here would wait for them forever
+def _close(session: zenoh.Session) -> None:
+    if is_forked():
         return
     try:
         session.close()  # type: ignore[no-untyped-call]  # zenoh's stub gives it no return type

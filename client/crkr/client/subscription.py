@@ -13,6 +13,7 @@ from typing import Any, Final, final
 
 import zenoh
 
+from crkr.client.forks import hold, is_forked, release
 from crkr.client.rpc import plain
 from crkr.protocol import CrkrError, Invalid, check_encoding, pub_key, unpack
 
@@ -72,6 +73,7 @@ class Subscription:
         )
         self._thread.start()
         self._finalizer = weakref.finalize(self, _undeclare, subscriber)
+        hold(self, subscriber)
 
     @property
     def dropped(self) -> int:
@@ -97,6 +99,7 @@ class Subscription:
     def close(self) -> None:
         """Ends the subscription; a `receive` in progress returns."""
         self._finalizer()
+        release(self)
         self._thread.join(timeout=2.0)
 
     def __enter__(self) -> Subscription:
@@ -109,6 +112,8 @@ class Subscription:
 
 
 def _undeclare(subscriber: zenoh.Subscriber[Any]) -> None:
+    if is_forked():
+        return
     try:
         subscriber.undeclare()  # type: ignore[no-untyped-call]  # zenoh's stub gives it no return type
     except zenoh.ZError as error:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Any
 
 import typer
@@ -53,19 +53,44 @@ def _show_server(info: Mapping[str, Any]) -> None:
 
 
 def _show_task(answer: Mapping[str, Any]) -> None:
-    rows: list[tuple[str, str]] = []
-    for name in ("samples", "eligible", "active", "seq", "model_version", "hyperparameters", "queues", "latency_us"):
-        if name in answer:
-            rows += _rows(name, answer[name])
+    known = ("samples", "eligible", "active", "seq", "model_version", "hyperparameters", "archived")
+    rows = [row for name in known if name in answer for row in _rows(name, answer[name])]
     if "uptime" in answer:
-        rows.append(("uptime", _duration(float(answer["uptime"]))))
-    print_table(("", ""), rows)
-    workers = answer.get("workers") or []
-    if workers:
-        columns = list(dict.fromkeys(str(key) for worker in workers for key in worker))
-        print_table(columns, [[_text(worker.get(key, "")) for key in columns] for worker in workers], title="workers")
-    else:
+        rows.append(("server up for", _duration(float(answer["uptime"]))))
+    print_table(("task", str(answer.get("task", ""))), rows)
+    _show_verbs(answer.get("latency_us") or {}, answer.get("queues") or {})
+    _show_workers(answer.get("workers") or [])
+
+
+def _show_verbs(latency: Mapping[str, Any], queues: Mapping[str, Any]) -> None:
+    """What was asked for since the start, how long it took inside the server, and what waits."""
+    rows = [
+        (verb, times.get("count", ""), _text(times.get("p50")), _text(times.get("p99")), _waiting(queues, verb))
+        for verb, times in latency.items()
+        if isinstance(times, Mapping)
+    ]
+    if rows:
+        print_table(("verb", "calls", "p50 [us]", "p99 [us]", "waiting"), rows)
+
+
+def _waiting(queues: Mapping[str, Any], verb: str) -> str:
+    queue = queues.get(verb)
+    return str(queue.get("waiting", "")) if isinstance(queue, Mapping) else ""
+
+
+def _show_workers(workers: Sequence[Mapping[str, Any]]) -> None:
+    if not workers:
         stdout.print("no workers seen")
+        return
+    columns = ("id", "state", "open_trials")
+    rows = [
+        (
+            *(_text(worker.get(column, "")) for column in columns),
+            f"{_duration(time.time() - float(worker['last_seen']))} ago" if "last_seen" in worker else "",
+        )
+        for worker in workers
+    ]
+    print_table(("worker", "state", "open trials", "last seen"), rows)
 
 
 def _rows(name: str, value: Any) -> list[tuple[str, str]]:

@@ -47,6 +47,7 @@ class Feed:
         self._waiting: deque[Telemetry] = deque()
         self._lost = False
         self._ahead = False
+        self._caught_up = False
 
     def publication(self, topic: str, message: Mapping[str, Any]) -> None:
         """Takes one publication; one that cannot be read is counted and skipped."""
@@ -75,6 +76,9 @@ class Feed:
             rows = [self.progress.add(stored, now) for stored in news.trials]
             self._remember(rows)
             self._view.trials(rows, self.progress)
+            if not (news.more or self._caught_up):
+                self._caught_up = True
+                _logger.info("caught up with %d trials, seq %d", sum(self.progress.kinds.values()), self.progress.seq)
         if news.status is not None:
             self._compare(news.status)
             self._view.status(news.status, self.progress)

@@ -23,6 +23,7 @@ from crkr.protocol import Invalid, Unavailable
 __all__ = ["Viewer", "page_address", "stream_address"]
 
 _logger = logging.getLogger(__name__)
+SERVING: Final = "Hosting a web-viewer at"
 READY_S: Final = 20.0
 ENDS_S: Final = 1.0
 
@@ -133,19 +134,26 @@ class Viewer:
         self.close()
 
     def _wait_for(self, address: str) -> None:
+        """Waits until it says that it serves and does: another page may answer at a port that it cannot have."""
         deadline = time.monotonic() + READY_S
         while time.monotonic() < deadline:
             if not self.is_running:
                 raise Unavailable(f"the viewer ended at once: {self.complaint()}")
+            if SERVING in self._log.read_text(errors="replace") and _answers(address):
+                return
             try:
-                with urllib.request.urlopen(address, timeout=1.0):  # an http address of our own on loopback
-                    return
-            except (urllib.error.URLError, OSError):
-                try:
-                    self._process.wait(0.05)
-                except subprocess.TimeoutExpired:
-                    continue
+                self._process.wait(0.05)
+            except subprocess.TimeoutExpired:
+                continue
         raise Unavailable(f"the viewer's page at {address} did not answer within {READY_S:.0f} s: {self.complaint()}")
+
+
+def _answers(address: str) -> bool:
+    try:
+        with urllib.request.urlopen(address, timeout=1.0):  # an http address of our own
+            return True
+    except (urllib.error.URLError, OSError):
+        return False
 
 
 def _binary() -> str:

@@ -42,7 +42,7 @@ class Curves:
             if row.kind not in ("trial", "failed"):
                 continue
             if row.cost is not None:
-                met = "success" if row.success else "no success"
+                met = "success" if row.success else "failure"
                 self._point(("cost", met), row, row.cost, SUCCESS if row.success else FAILURE, met)
             if row.mean_cost is not None:
                 self._line(("cost", "mean"), row, row.mean_cost, 0xFFFFFFFF, "mean of 50")
@@ -56,14 +56,13 @@ class Curves:
         """Width and novelty of the goal that was tried, and how long it took."""
         if row.kind not in ("trial", "failed"):
             return
-        measured = {"mean sigma / scale": telemetry.sigma_mean, "novelty": telemetry.novelty}
-        for colour, (name, value) in zip(LINES, measured.items(), strict=False):
-            if value is None:
-                continue
-            recent = self._recent[name]
-            recent.append(value)
-            self._point(("exploration", name), row, value, shade(colour, 0.4), f"{name}, each trial")
-            self._line(("exploration", f"{name} mean"), row, sum(recent) / len(recent), colour, f"{name}, last 50", 2.0)
+        measured = (("sigma", telemetry.sigma_mean, LINES[0]), ("novelty", telemetry.novelty, LINES[1]))
+        for name, value, colour in measured:
+            if value is not None:
+                recent = self._recent[name]
+                recent.append(value)
+                self._point(("exploration", name), row, value, shade(colour, 0.4), f"{name}, each trial")
+                self._line(("exploration", f"{name}_mean"), row, sum(recent) / len(recent), colour, f"{name}, last 50")
         for name, duration in telemetry.timing_ms.items():
             self._durations[name].append(duration)
 
@@ -104,13 +103,13 @@ class Curves:
         for verb, colour in (("predict", LINES[4]), ("report", LINES[5])):
             if verb in served:
                 style = rr.SeriesLines(colors=colour, names=f"server: {verb}, p99")
-                self._append(("latency", f"server {verb}"), progress.trials, progress.epoch, served[verb][1], style)
+                self._append(("latency", f"server_{verb}"), progress.trials, progress.epoch, served[verb][1], style)
 
     def flush(self, progress: Progress) -> None:
         """Sends what was collected."""
         for index, (name, durations) in enumerate(sorted(self._durations.items())):
             style = rr.SeriesLines(colors=LINES[index % len(LINES)], names=f"worker: {name}", widths=1.5)
-            self._append(("latency", f"worker {name}"), progress.trials, progress.epoch, median(durations), style)
+            self._append(("latency", f"worker_{name}"), progress.trials, progress.epoch, median(durations), style)
         self._durations.clear()
         for path, rows in self._rows.items():
             self._recording.columns(

@@ -1,9 +1,10 @@
 """The robots in 3D: every training trial's paths, and one trial at a time of each worker in real time.
 
-Workers finish trials faster than they could be watched. The paths of all training trials are drawn, coloured by success;
-poses, and paths of other kinds, only of the newest trial when the one before has been played. Poses of all bodies go out
-as rows of one entity per worker, which names the moved frame in each row: a chunk per worker and tick instead of one per
-body. Demonstrations are played in the world of the first worker that tries: who records them often does nothing else.
+Workers finish trials faster than they could be watched. The paths of all training trials are drawn, coloured by
+success; poses, and paths of other kinds, only of the newest trial when the one before has been played. Poses of all
+bodies go out as rows of one entity per worker, which names the moved frame in each row: a chunk per worker and tick
+instead of one per body. Demonstrations are played in the world of the first worker that tries: who records them often
+does nothing else.
 
     world/<worker>                    where its world stands, static
     world/<worker>/shapes/<body>/...  shapes, static, each in the frame "<worker>/<body>"

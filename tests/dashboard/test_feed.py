@@ -1,0 +1,142 @@
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import pytest
+
+from crkr.dashboard import EpochResult, Feed, Progress, Row, Telemetry
+from crkr.dashboard.feed import MAX_WAITING
+from crkr.dashboard.poller import News
+from crkr.protocol import Internal, StoredTrial, Unavailable
+
+Make = Callable[..., StoredTrial]
+Message = Callable[..., dict[str, Any]]
+
+
+class Notebook:
+    """A view that writes down what it is told."""
+
+    def __init__(self) -> None:
+        self.seqs: list[int] = []
+        self.pictures: list[tuple[int, int]] = []
+        self.epochs: list[int] = []
+        self.statuses: list[Mapping[str, Any]] = []
+        self.lines: list[str] = []
+        self.warned: list[bool] = []
+        self.ticks: list[float] = []
+        self.progress: Progress | None = None
+
+    def trials(self, rows: Sequence[Row], progress: Progress) -> None:
+        self.seqs += [row.seq for row in rows]
+        self.progress = progress
+
+    def picture(self, row: Row, telemetry: Telemetry) -> None:
+        self.pictures.append((row.seq, telemetry.seq))
+
+    def epoch(self, result: EpochResult, progress: Progress) -> None:
+        self.epochs.append(result.epoch)
+        self.progress = progress
+
+    def status(self, status: Mapping[str, Any], progress: Progress) -> None:
+        self.statuses.append(status)
+        self.progress = progress
+
+    def say(self, message: str, *, warning: bool = False) -> None:
+        self.lines.append(message)
+        self.warned.append(warning)
+
+    def tick(self, now: float, progress: Progress) -> None:
+        self.ticks.append(now)
+        self.progress = progress
+
+
+@pytest.fixture
+def notebook() -> Notebook:
+    return Notebook()
+
+
+@pytest.fixture
+def feed(notebook: Notebook) -> Feed:
+    return Feed(notebook)
+
+
+def test_a_picture_waits_until_the_log_has_its_trial(
+    feed: Feed, notebook: Notebook, stored: Make, message: Message
+) -> None:
+    feed.publication("trial", message(2))
+    feed.news(News(trials=(stored(1),)), 0.0)
+    feed.step(0.0)
+    assert notebook.pictures == []
+    feed.news(News(trials=(stored(2),)), 0.5)
+    feed.step(0.5)
+    feed.step(0.6)
+    assert notebook.pictures == [(2, 2)]
+    assert notebook.seqs == [1, 2]
+
+
+def test_trials_are_told_though_every_publication_was_lost(feed: Feed, notebook: Notebook, stored: Make) -> None:
+    feed.news(News(trials=tuple(stored(seq) for seq in range(1, 100))), 0.0)
+    feed.step(0.0)
+    assert notebook.seqs == list(range(1, 100))
+
+
+def test_a_picture_of_a_trial_that_the_log_does_not_have_is_dropped_and_counted(
+    feed: Feed, notebook: Notebook, stored: Make, message: Message
+) -> None:
+    feed.publication("trial", message(2))
+    feed.news(News(trials=(stored(1), stored(3))), 0.0)
+    feed.step(0.0)
+    assert notebook.pictures == []
+    assert feed.dropped == 1
+
+
+def test_pictures_do_not_pile_up_while_the_log_is_silent(feed: Feed, message: Message) -> None:
+    for seq in range(MAX_WAITING + 5):
+        feed.publication("trial", message(seq, trace=None, scene=None))
+    assert feed.dropped == 5
+
+
+def test_unreadable_publications_are_counted_and_the_first_ones_named(
+    feed: Feed, notebook: Notebook, message: Message
+) -> None:
+    for _ in range(50):
+        feed.publication("trial", message(1, worker=None))
+    feed.publication("evaluation", {})
+    assert feed.skipped == 51
+    assert len(notebook.lines) == 3
+    assert "worker" in notebook.lines[0]
+
+
+def test_notices_of_the_model_are_no_pictures(feed: Feed) -> None:
+    feed.publication("model", {"version": 3})
+    assert feed.skipped == 0
+
+
+def test_a_server_that_is_away_is_said_once_and_its_return_too(feed: Feed, notebook: Notebook, stored: Make) -> None:
+    for _ in range(3):
+        feed.news(News(lost=Unavailable("no answer")), 0.0)
+    feed.news(News(trials=(stored(1),)), 1.0)
+    feed.news(News(trials=(stored(2),)), 2.0)
+    assert notebook.lines == ["the server does not answer; waiting for it", "the server answers again"]
+    assert notebook.warned == [True, False]
+
+
+def test_an_error_of_the_server_is_said_in_its_words(feed: Feed, notebook: Notebook) -> None:
+    feed.news(News(lost=Internal("a page is missing")), 0.0)
+    assert notebook.lines == ["INTERNAL: a page is missing"]
+
+
+def test_a_log_that_became_shorter_is_another_one(feed: Feed, notebook: Notebook, stored: Make) -> None:
+    feed.news(News(trials=(stored(9),)), 0.0)
+    for _ in range(2):
+        feed.news(News(status={"seq": 3}), 0.0)
+    assert len(notebook.lines) == 1
+    assert "ends at 3" in notebook.lines[0]
+
+
+def test_a_finished_evaluation_is_told_once(feed: Feed, notebook: Notebook, stored: Make) -> None:
+    feed.news(News(trials=(stored(1, "evaluation", info={"epoch": 0}),)), 0.0)
+    for now in (1.0, 10.0, 20.0):
+        feed.step(now)
+    assert notebook.epochs == [0]
+    assert notebook.ticks == [1.0, 10.0, 20.0]
+    assert notebook.progress is feed.progress

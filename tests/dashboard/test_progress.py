@@ -1,0 +1,93 @@
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from crkr.dashboard.progress import MAX_NAMES, QUIET_S, Progress
+from crkr.protocol import StoredTrial
+
+Make = Callable[..., StoredTrial]
+
+
+def evaluation(stored: Make, seq: int, epoch: int, paper: bool = True) -> StoredTrial:
+    return stored(seq, "evaluation", info={"epoch": epoch, "outcomes": {"paper": paper}})
+
+
+def test_training_trials_and_failed_ones_are_numbered_and_others_are_not(stored: Make) -> None:
+    progress = Progress()
+    kinds = ["demonstration", "trial", "evaluation", "failed", "trial"]
+    rows = [
+        progress.add(stored(seq, kind, success=kind != "failed", cost=None if kind == "failed" else 0.5), 0.0)
+        for seq, kind in enumerate(kinds, 1)
+    ]
+    assert [row.trial for row in rows] == [0, 1, 1, 2, 3]
+    assert progress.kinds == {"demonstration": 1, "trial": 2, "evaluation": 1, "failed": 1}
+
+
+def test_an_evaluation_ends_when_it_has_as_many_balls_as_the_one_before(stored: Make) -> None:
+    progress = Progress()
+    for seq in range(1, 5):
+        progress.add(evaluation(stored, seq, 0, paper=seq % 2 == 0), now=0.0)
+    assert progress.finished_epochs(now=1.0) == []
+    (first,) = progress.finished_epochs(now=1.0 + QUIET_S)
+    assert (first.epoch, first.balls, first.rate("paper")) == (0, 4, 0.5)
+    for seq in range(5, 8):
+        progress.add(evaluation(stored, seq, 1), now=10.0)
+        assert progress.finished_epochs(now=10.0) == []
+    progress.add(evaluation(stored, 8, 1), now=10.0)
+    (second,) = progress.finished_epochs(now=10.0)
+    assert (second.epoch, second.rate("paper")) == (1, 1.0)
+    assert progress.finished_epochs(now=99.0) == []
+
+
+def test_evaluations_of_two_epochs_may_come_interleaved(stored: Make) -> None:
+    progress = Progress()
+    for seq, epoch in enumerate([3, 4, 3, 4, 4, 3], 1):
+        progress.add(evaluation(stored, seq, epoch), now=0.0)
+    assert [result.balls for result in progress.finished_epochs(now=2 * QUIET_S)] == [3, 3]
+
+
+def test_training_belongs_to_the_epoch_after_the_newest_evaluation(stored: Make) -> None:
+    progress = Progress()
+    assert progress.add(stored(1), 0.0).epoch == 0
+    progress.add(evaluation(stored, 2, 6), 0.0)
+    assert progress.add(stored(3), 0.0).epoch == 7
+    assert progress.add(stored(4, info={"epoch": 2}), 0.0).epoch == 2
+
+
+def test_every_criterion_that_a_skill_names_is_kept_apart(stored: Make) -> None:
+    progress = Progress()
+    progress.add(stored(1, info={"outcomes": {"paper": True, "strict": False}}), 0.0)
+    row = progress.add(stored(2, info={"outcomes": {"paper": True, "strict": True}}), 0.0)
+    assert row.rates == {"paper": 1.0, "strict": 0.5}
+
+
+def test_a_skill_without_criteria_has_its_success(stored: Make) -> None:
+    assert Progress().add(stored(1, success=False), 0.0).outcomes == {"success": False}
+
+
+@pytest.mark.parametrize(
+    "info",
+    [
+        {"epoch": "three", "reason": 7, "outcomes": 1},
+        {"epoch": -1, "outcomes": {"paper": "yes"}},
+        {"epoch": True, "reason": "", "outcomes": {}},
+        {"epoch": 2**40, "reason": "x" * 5000, "outcomes": {"n" * 5000: True}},
+    ],
+)
+def test_odd_information_is_read_as_if_it_were_not_there(stored: Make, info: dict[str, Any]) -> None:
+    row = Progress().add(stored(1, info=info), 0.0)
+    assert row.epoch == 0
+    assert len(row.reason) <= 48
+    assert all(len(name) <= 32 for name in row.outcomes)
+
+
+def test_endless_new_names_do_not_grow_the_tables(stored: Make) -> None:
+    progress = Progress()
+    for seq in range(1, 200):
+        info = {"reason": f"reason {seq}", "outcomes": {f"criterion {seq}": True}}
+        progress.add(stored(seq, info=info, worker=f"worker {seq}"), 0.0)
+    assert len(progress.reasons) <= MAX_NAMES + 1
+    assert len(progress.workers) <= MAX_NAMES + 1
+    assert len(progress.criteria) <= MAX_NAMES
+    assert progress.reasons["other"] == 199 - MAX_NAMES

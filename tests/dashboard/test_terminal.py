@@ -1,0 +1,101 @@
+import io
+import subprocess
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from rich.console import Console
+
+from crkr.dashboard.feed import Feed
+from crkr.dashboard.poller import News
+from crkr.dashboard.terminal import TerminalDisplay, sparkline
+from crkr.protocol import StoredTrial
+
+Make = Callable[..., StoredTrial]
+STATUS = {
+    "active": 17,
+    "eligible": 40,
+    "seq": 9,
+    "workers": [{"id": "crane-1", "state": "alive", "open_trials": 1, "last_seen": 0.0}, "odd"],
+    "latency_us": {"predict": {"p50": 250.0, "p99": 1500.0, "count": 3}, "odd": 4},
+}
+
+
+def shown(terminal: bool, news: list[News]) -> str:
+    text = io.StringIO()
+    console = Console(file=text, force_terminal=terminal, width=160, height=60, color_system=None)
+    with TerminalDisplay(console, "crane") as display:
+        feed = Feed(display)
+        for number, piece in enumerate(news):
+            feed.news(piece, float(number))
+            feed.step(float(number) * 10.0)
+        display.finish(feed.progress)
+    return text.getvalue()
+
+
+@pytest.fixture
+def run(stored: Make) -> list[News]:
+    def ball(seq: int, epoch: int, hit: bool) -> StoredTrial:
+        return stored(seq, "evaluation", info={"epoch": epoch, "outcomes": {"hit": hit}})
+
+    lifted = [stored(seq, info={"reason": "lifted", "outcomes": {"hit": True}}) for seq in (3, 4, 5)]
+    stuck = [stored(6, info={"reason": "stuck [bold]", "outcomes": {"hit": False}}, success=False)]
+    return [
+        News(trials=(ball(1, 0, False), ball(2, 0, True))),
+        News(trials=(*lifted, *stuck)),
+        News(trials=(ball(7, 1, True), ball(8, 1, True))),
+        News(status=STATUS),
+    ]
+
+
+def test_a_terminal_shows_curve_reasons_workers_and_latency(run: list[News]) -> None:
+    text = shown(True, run)
+    for expected in (
+        "▅█",
+        "50 %",
+        "100 %",
+        "lifted",
+        "stuck [bold]",
+        "75 %",
+        "crane-1",
+        "alive",
+        "1.50 ms",
+        "17 of 40",
+    ):
+        assert expected in text
+
+
+def test_without_a_terminal_there_are_plain_lines(run: list[News]) -> None:
+    text = shown(False, run)
+    assert "\x1b" not in text
+    assert "epoch 1: hit 1.00 of 2 evaluation trials" in text.splitlines()
+    assert any("trials 4" in line and "active 17 of 40" in line for line in text.splitlines())
+
+
+def test_a_run_without_trials_can_be_shown() -> None:
+    assert "trials 0" in shown(True, [News(status={})])
+    assert "trials 0" in shown(False, [News(status={"workers": 3, "latency_us": []})])
+
+
+@pytest.mark.parametrize(("shares", "bars"), [([], ""), ([0.0, 0.5, 1.0], "▁▅█"), ([-1.0, 2.0], "▁█")])
+def test_a_sparkline_has_a_bar_for_each_share(shares: list[float], bars: str) -> None:
+    assert sparkline(shares) == bars
+
+
+def test_a_sparkline_keeps_the_newest() -> None:
+    assert sparkline([0.0] * 10 + [1.0] * 3, width=3) == "███"
+
+
+def test_terminal_imports_no_rerun() -> None:
+    program = "import crkr.dashboard.terminal, crkr.dashboard.command, sys; sys.exit('rerun' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
+
+
+def test_odd_status_fields_do_no_harm(run: list[News]) -> None:
+    odd: dict[str, Any] = {
+        "active": "many",
+        "workers": [{"id": 3, "last_seen": "never"}],
+        "latency_us": {"a": {"p50": "x"}},
+    }
+    assert "many" in shown(True, [*run, News(status=odd)])

@@ -71,7 +71,7 @@ def _inside(X: Array) -> tuple[Indices, Indices, Array]:
     """Pairs (better, worse) of a small block in cost order that can set a radius, with their squared distances."""
     d2 = squared_distances(X, X)
     d2[np.triu_indices(len(X))] = np.inf
-    worse, better = np.nonzero((d2 == d2.min(axis=1, keepdims=True)) & np.isfinite(d2))
+    worse, better = np.nonzero((d2 == d2.min(axis=1, keepdims=True, initial=np.inf)) & np.isfinite(d2))
     return better, worse, d2[worse, better]
 
 

@@ -34,7 +34,8 @@ def squared_distances(A: Array, B: Array, out: Array | None = None) -> Array:
     Each entry is the sum over dimensions in their order, so that it has the same bits whichever rows it is computed
     beside; the selection relies on that where distances tie.
     """
-    return np.asarray(cdist(A, B, "sqeuclidean", out=out))
+    distances: Array = cdist(A, B, "sqeuclidean", out=out)
+    return distances
 
 
 @final
@@ -57,6 +58,12 @@ class Kernel:
     signal_variance: float
     linear_weight: float = 0.0
 
+    def __post_init__(self) -> None:
+        for name in ("centre", "lengthscales"):
+            copy = np.array(getattr(self, name), dtype=np.float64)
+            copy.setflags(write=False)
+            object.__setattr__(self, name, copy)
+
     def standardise(self, states: Array) -> Array:
         """States (..., d) in their units to the standardised states that the other methods take."""
         return standardise(states, self.centre, self.lengthscales)
@@ -66,7 +73,8 @@ class Kernel:
         K = squared_distances(A, B)
         K *= -0.5
         np.exp(K, out=K)
-        K *= self.signal_variance
+        if self.signal_variance != 1.0:
+            K *= self.signal_variance
         if self.linear_weight:
             K += self.linear_weight * (A @ B.T)
         return K

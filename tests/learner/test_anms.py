@@ -1,0 +1,151 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
+
+from crkr.learner import Anms, radii, top
+
+STREAMS = ("uniform", "lattice", "cluster", "drift", "falling cost")
+
+
+class AnmsAgainstTheBatchAlgorithm(RuleBasedStateMachine):
+    """Any sequence of calls; after each the incremental filter must hold what the batch algorithm finds."""
+
+    @initialize(
+        d=st.integers(1, 6), budget=st.integers(1, 12), stream=st.sampled_from(STREAMS), seed=st.integers(0, 2**32 - 1)
+    )
+    def start(self, d: int, budget: int, stream: str, seed: int) -> None:
+        self.d, self.budget, self.stream = d, budget, stream
+        self.rng = np.random.default_rng(seed)
+        self.anms = Anms(d, budget)
+        self.Z, self.costs = np.empty((0, d)), np.empty(0)
+
+    def state(self) -> np.ndarray:
+        if self.stream == "lattice":  # duplicates and equal distances
+            return self.rng.integers(0, 3, self.d) * 0.1
+        if self.stream == "cluster":
+            return self.rng.integers(0, 3) + 1e-3 * self.rng.normal(size=self.d)
+        if self.stream == "drift":
+            return self.rng.normal(size=self.d) + 0.1 * len(self.costs)
+        return self.rng.uniform(size=self.d)
+
+    def cost(self) -> float:
+        if self.stream == "falling cost":
+            return 1.0 / (1 + len(self.costs))
+        return float(self.rng.integers(0, 4) / 4 if self.stream == "lattice" else self.rng.uniform())
+
+    def add(self, count: int) -> None:
+        Z = np.array([self.state() for _ in range(count)]).reshape(count, self.d)
+        costs = np.array([self.cost() for _ in range(count)])
+        self.anms.extend(Z, costs)
+        self.Z, self.costs = np.concatenate([self.Z, Z]), np.concatenate([self.costs, costs])
+
+    def some_sample(self) -> int:
+        return int(self.rng.choice(np.flatnonzero(~np.isnan(self.costs))))
+
+    @rule(count=st.integers(1, 8))
+    def insert(self, count: int) -> None:
+        self.add(count)
+
+    @precondition(lambda self: not np.isnan(self.costs).all())
+    @rule()
+    def remove(self) -> None:
+        index = self.some_sample()
+        self.anms.remove(index)
+        self.costs[index] = np.nan
+
+    @precondition(lambda self: not np.isnan(self.costs).all())
+    @rule()
+    def recost(self) -> None:
+        index = self.some_sample()
+        self.costs[index] = self.cost()
+        self.anms.recost(index, float(self.costs[index]))
+
+    @rule(budget=st.integers(1, 12))
+    def set_budget(self, budget: int) -> None:
+        self.budget = budget
+        self.anms.set_budget(budget)
+
+    @rule()
+    def rebuild(self) -> None:
+        alive = ~np.isnan(self.costs)
+        self.Z, self.costs = self.Z[alive], self.costs[alive]
+        self.anms.rebuild(self.Z, self.costs)
+
+    @rule()
+    def rebuild_from_cached_radii(self) -> None:
+        cached = self.anms.radii()
+        alive = ~np.isnan(self.costs)
+        self.Z, self.costs = self.Z[alive], self.costs[alive]
+        self.anms.rebuild(self.Z, self.costs, cached)
+
+    @invariant()
+    def active_set_and_radii_are_those_of_the_batch_algorithm(self) -> None:
+        alive = np.flatnonzero(~np.isnan(self.costs))
+        r2, suppressor = radii(self.Z[alive], self.costs[alive])
+        np.testing.assert_array_equal(self.anms.active, alive[top(r2, self.budget)])
+        for position, index in enumerate(alive.tolist()):
+            standing = self.anms.standing(index)
+            if suppressor[position] < 0:
+                assert standing.suppressor is None
+                continue
+            assert standing.radius == np.sqrt(r2[position])
+            assert standing.suppressor is not None
+            gap = self.Z[index] - self.Z[standing.suppressor]
+            assert np.linalg.norm(gap) == pytest.approx(standing.radius, rel=1e-12)
+            better = (self.costs[standing.suppressor], standing.suppressor) < (self.costs[index], index)
+            assert better, "the suppressor is not better"
+
+
+TestAnmsAgainstTheBatchAlgorithm = AnmsAgainstTheBatchAlgorithm.TestCase
+TestAnmsAgainstTheBatchAlgorithm.settings = settings(max_examples=60, stateful_step_count=40, deadline=None)
+
+
+@pytest.mark.parametrize("budget", [1, 10, 60])
+def test_a_long_stream_keeps_the_batch_algorithms_set(budget: int) -> None:
+    rng = np.random.default_rng(budget)
+    Z, costs = rng.uniform(size=(1500, 3)), rng.uniform(size=1500)
+    anms = Anms(3, budget)
+    for count in range(1500):
+        anms.extend(Z[count : count + 1], costs[count : count + 1])
+        if count % 97 == 0 or count == 1499:
+            r2, _ = radii(Z[: count + 1], costs[: count + 1])
+            np.testing.assert_array_equal(anms.active, top(r2, budget))
+
+
+def test_a_large_group_gives_the_same_set_as_one_by_one() -> None:
+    rng = np.random.default_rng(0)
+    Z, costs = rng.uniform(size=(14000, 2)), rng.uniform(size=14000)
+    together, one_by_one = Anms(2, 50), Anms(2, 50)
+    together.extend(Z, costs)  # large enough for the batch build
+    for start in range(0, 14000, 100):
+        one_by_one.extend(Z[start : start + 100], costs[start : start + 100])
+    np.testing.assert_array_equal(together.active, one_by_one.active)
+    np.testing.assert_array_equal(together.radii().squared, one_by_one.radii().squared)
+    np.testing.assert_array_equal(together.radii().suppressor, one_by_one.radii().suppressor)
+
+
+def test_of_equal_costs_the_older_is_the_better() -> None:
+    anms = Anms(1, 1)
+    anms.extend(np.array([[0.0], [1.0]]), np.array([0.5, 0.5]))
+    assert anms.active.tolist() == [0]
+    assert anms.standing(1).suppressor == 0
+
+
+def test_of_equal_radii_the_older_is_kept() -> None:
+    anms = Anms(1, 2)
+    anms.extend(np.array([[0.0], [1.0], [-1.0]]), np.array([0.0, 0.5, 0.4]))
+    assert anms.active.tolist() == [0, 1]
+
+
+def test_the_active_set_is_the_same_object_while_nothing_changes() -> None:
+    anms = Anms(1, 2)
+    anms.extend(np.array([[0.0], [10.0]]), np.array([0.1, 0.2]))
+    before = anms.active
+    anms.extend(np.array([[0.01]]), np.array([0.9]))
+    assert anms.active is before
+    with pytest.raises(ValueError, match="read-only"):
+        before[0] = 1

@@ -1,0 +1,71 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+from uuid import UUID, uuid5
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from crkr.learner.id_index import IdIndex, id_words
+from crkr.learner.store import SampleStore
+from crkr.protocol import Conflict, Invalid, TaskSpec, Trial
+
+SPACE = UUID(int=1)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.lists(st.binary(min_size=16, max_size=16), unique=True, max_size=600))
+def test_index_finds_what_a_dict_finds(ids: list[bytes]) -> None:
+    index, words = IdIndex(), np.array([id_words(value) for value in ids], dtype=np.uint64).reshape(-1, 2)
+    for row in range(len(ids)):
+        index.add(row, words[: row + 1])
+    truth = {value: row for row, value in enumerate(ids)}
+    for value in [*ids, bytes(16), b"\xff" * 16]:
+        assert index.find(id_words(value), words) == truth.get(value)
+
+
+def test_index_copes_with_ids_that_share_a_slot() -> None:
+    # Words that cancel in the hash: every id starts its search in the same slot.
+    words = np.array([(number, number) for number in range(2000)], dtype=np.uint64)
+    index = IdIndex()
+    for row in range(2000):
+        index.add(row, words)
+    assert [index.find((number, number), words) for number in (0, 1, 999, 1999)] == [0, 1, 999, 1999]
+    assert index.find((2000, 2000), words) is None
+
+
+def trial(spec: TaskSpec, number: int, **fields: object) -> Trial:
+    values = {"state": [0.1, 0.2], "goal": [0.0, 0.5], "cost": 0.25, "success": True, **fields}
+    return Trial.create(spec, id=uuid5(SPACE, str(number)), **values)
+
+
+def test_ids_come_back_as_they_were(make_spec: Callable[..., TaskSpec]) -> None:
+    spec, store = make_spec(), SampleStore(2, 2)
+    trials = [trial(spec, number) for number in range(300)]
+    for seq, one in enumerate(trials, start=2):
+        store.append(seq, one)
+    assert store.ids(np.array([7, 299, 0])) == [trials[7].id, trials[299].id, trials[0].id]
+    assert store.rows_of([trials[5].id, trials[4].id]) == [5, 4]
+    with pytest.raises(Invalid, match="1 unknown ids"):
+        store.rows_of([trials[5].id, uuid5(SPACE, "never")])
+
+
+def test_the_same_content_is_recognised_after_a_change_of_cost(make_spec: Callable[..., TaskSpec]) -> None:
+    spec, store = make_spec(), SampleStore(2, 2)
+    store.append(2, trial(spec, 0))
+    store.recost(0, 0.75)
+    assert store.original(trial(spec, 0, worker="another")) == 0
+    with pytest.raises(Conflict, match="reported before with other content"):
+        store.original(trial(spec, 0, cost=0.75))
+
+
+@pytest.mark.parametrize(
+    "change", [{"state": [0.1, -0.2]}, {"goal": [0.0, 0.4]}, {"success": False}, {"kind": "evaluation"}, {"cost": 0.0}]
+)
+def test_any_other_content_is_a_conflict(make_spec: Callable[..., TaskSpec], change: dict[str, object]) -> None:
+    spec, store = make_spec(), SampleStore(2, 2)
+    store.append(2, trial(spec, 0))
+    with pytest.raises(Conflict):
+        store.original(trial(spec, 0, **change))

@@ -4,6 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from crkr.sim_worker.table_tennis.alone import BallAlone
 from crkr.sim_worker.table_tennis.ball import Ball, bounce, flight
 from crkr.sim_worker.table_tennis.constants import (
     BALL_RADIUS,
@@ -17,7 +18,6 @@ from crkr.sim_worker.table_tennis.planner import HOME
 from crkr.sim_worker.table_tennis.simulation import (
     BALL_POSITION,
     BALL_VELOCITY,
-    BallAlone,
     Diverged,
     Simulation,
     load_spec,
@@ -180,4 +180,4 @@ def _hold(simulation: Simulation) -> np.ndarray:
     data = mujoco.MjData(simulation.model)
     data.qpos[:6] = HOME
     mujoco.mj_forward(simulation.model, data)
-    return np.asarray(simulation.stiffness * HOME + data.qfrc_bias[:6])
+    return np.asarray(simulation.gains.stiffness * HOME + data.qfrc_bias[:6])

@@ -35,11 +35,13 @@ class Paddle(NamedTuple):
         position: (3,) centre of the blade [m].
         normal: (3,) unit normal of the front face.
         velocity: (3,) of the centre [m/s].
+        spin: (3,) angular velocity [rad/s].
     """
 
     position: Floats
     normal: Floats
     velocity: Floats
+    spin: Floats
 
 
 @final
@@ -61,13 +63,14 @@ class Arm:
         model, data = self.model, self._data
         if speeds is None:
             pinocchio.forwardKinematics(model, data, joints)
-            velocity = np.zeros(3)
+            velocity = spin = np.zeros(3)
         else:
             pinocchio.forwardKinematics(model, data, joints, speeds)
             aligned = pinocchio.ReferenceFrame.LOCAL_WORLD_ALIGNED
-            velocity = np.array(pinocchio.getFrameVelocity(model, data, self._frame, aligned).linear)
+            twist = pinocchio.getFrameVelocity(model, data, self._frame, aligned)
+            velocity, spin = np.array(twist.linear), np.array(twist.angular)
         placement = pinocchio.updateFramePlacement(model, data, self._frame)
-        return Paddle(np.array(placement.translation), np.array(placement.rotation[:, 0]), velocity)
+        return Paddle(np.array(placement.translation), np.array(placement.rotation[:, 0]), velocity, spin)
 
     def jacobian(self, joints: Floats) -> Floats:
         """(6, 6) of the paddle's centre: linear velocity over angular velocity, in the table frame."""

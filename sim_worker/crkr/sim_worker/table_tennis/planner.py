@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Final, final
+from typing import Final, Protocol, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,9 +20,8 @@ from crkr.sim_worker.table_tennis.constants import (
     PADDLE_RESTITUTION,
     TABLE_HEIGHT,
 )
-from crkr.sim_worker.table_tennis.simulation import BallAlone
 
-__all__ = ["HOME", "Planner"]
+__all__ = ["HOME", "Planner", "Predictor"]
 
 Floats = NDArray[np.float64]
 
@@ -49,13 +48,26 @@ LOWEST: Final = TABLE_HEIGHT + 0.06  # a ball below this cannot be hit [m]
 NET_MARGIN: Final = 0.03  # [m]
 
 
+class Predictor(Protocol):
+    """Knows what a ball does that nobody hits."""
+
+    @property
+    def timestep(self) -> float:
+        """Between two rows of `path` [s]."""
+        ...
+
+    def path(self, ball: Floats, duration: float) -> Floats:
+        """Position [m], velocity [m/s] and spin [rad/s] (n + 1, 9), table frame, every timestep from `ball` (6,) on."""
+        ...
+
+
 @final
 class Planner:
-    """Plans returns: the incoming ball as the contact simulation has it, a rigid impact at the paddle."""
+    """Plans returns: the incoming ball as `predictor` has it, a rigid impact at the paddle."""
 
-    def __init__(self, arm: Arm) -> None:
+    def __init__(self, arm: Arm, predictor: Predictor) -> None:
         self._arm = arm
-        self._alone = BallAlone()
+        self._predictor = predictor
 
     def goals(self, ball: Floats, aim: tuple[float, float] = AIM) -> Iterator[Floats]:
         """Goals (13,) that return a ball, best first, at most ten; whether a swing can get there is not checked.
@@ -64,14 +76,14 @@ class Planner:
             ball: Position [m] and velocity [m/s] at the snapshot.
             aim: Where the return should land [m].
         """
-        path = self._alone.path(ball, LONGEST)
+        path = self._predictor.path(ball, LONGEST)
         for plane, duration in CANDIDATES:
             row = int(np.argmax(path[:, 0] <= plane))
             if row == 0 or path[row, 2] < LOWEST:
                 continue
             part = (plane - path[row - 1, 0]) / (path[row, 0] - path[row - 1, 0])
             meeting = path[row - 1] + part * (path[row] - path[row - 1])
-            hit_time = (row - 1 + part) * self._alone.timestep
+            hit_time = (row - 1 + part) * self._predictor.timestep
             try:
                 yield self._swing(meeting, hit_time, duration, aim)
             except Unreachable:

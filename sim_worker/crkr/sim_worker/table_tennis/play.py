@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol, final
+from typing import Final, Protocol, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,9 +12,11 @@ from crkr.sim_worker.table_tennis.arm import Paddle
 from crkr.sim_worker.table_tennis.ball import Ball
 from crkr.sim_worker.table_tennis.joint_trajectory import JointTrajectory
 
-__all__ = ["Environment", "Play"]
+__all__ = ["FOLLOW", "Environment", "Play"]
 
 Floats = NDArray[np.float64]
+
+FOLLOW: Final = 0.12  # how long the swing is followed after the hit time [s]; from then on the ball only flies
 
 
 @final

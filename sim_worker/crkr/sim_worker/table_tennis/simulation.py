@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from crkr.sim_worker.skill import Geom
 
-__all__ = ["Diverged", "Recording", "Simulation", "load_spec"]
+__all__ = ["Diverged", "Gains", "Recording", "Simulation", "load_spec"]
 
 Floats = NDArray[np.float64]
 
@@ -32,6 +32,23 @@ SHAPES = {
 
 class Diverged(Exception):
     """The simulator warned or left the finite numbers; the trial says nothing."""
+
+
+class Gains(NamedTuple):
+    """Feedback of the actuators.
+
+    Attributes:
+        stiffness: (6,) [N m/rad].
+        damping: (6,) [N m s/rad].
+    """
+
+    stiffness: Floats
+    damping: Floats
+
+    @classmethod
+    def of(cls, model: Any) -> Gains:
+        """The gains of a compiled scene."""
+        return cls(-np.array(model.actuator_biasprm[:, 1]), -np.array(model.actuator_biasprm[:, 2]))
 
 
 class Recording(NamedTuple):
@@ -57,9 +74,7 @@ class Simulation:
         self._warmstart = np.zeros((1, self.model.nv))
         touch = self.model.sensor("touch_paddle")
         self._touch = int(touch.adr[0])
-        gains = self.model.actuator_biasprm
-        self.stiffness: Floats = -np.array(gains[:, 1])  # (6,) [N m/rad]
-        self.damping: Floats = -np.array(gains[:, 2])  # (6,) [N m s/rad]
+        self.gains = Gains.of(self.model)
         self.timestep = float(self.model.opt.timestep)
         self._moving = [
             index
@@ -90,9 +105,7 @@ class Simulation:
         states, sensed = self._rollout.rollout(
             self.model, self._data, start[None], controls[None], initial_warmstart=self._warmstart
         )
-        if self._data.warning.number.any() or not np.isfinite(states[0, -1]).all():
-            raised = [mujoco.mjtWarning(i).name for i in np.flatnonzero(self._data.warning.number)]
-            raise Diverged(f"the simulation broke down: {', '.join(raised) or 'not finite'}")
+        check_sound(self._data, states[0, -1])
         return Recording(np.concatenate([start[None], states[0]]), sensed[0, :, self._touch] > 0)
 
     def poses(self, joints: Floats, balls: Floats) -> tuple[Floats, Floats]:
@@ -139,41 +152,17 @@ class Simulation:
         )
 
 
-@final
-class BallAlone:
-    """The same physics without the arm: what a ball does that nobody hits."""
-
-    def __init__(self) -> None:
-        spec = load_spec()
-        for unused in [*spec.actuators, spec.sensor("touch_paddle"), spec.pair("ball_paddle"), spec.body("mount")]:
-            spec.delete(unused)
-        self._model: Any = spec.compile()
-        self._data: Any = mujoco.MjData(self._model)
-        self._rollout = Rollout(nthread=0)
-        self.timestep = float(self._model.opt.timestep)
-
-    def path(self, ball: Floats, duration: float) -> Floats:
-        """Position [m], velocity [m/s] and spin [rad/s] (n + 1, 9), table frame, every timestep from `ball` (6,) on."""
-        mujoco.mj_resetData(self._model, self._data)
-        start = np.concatenate([[0.0], ball[:3], [1.0, 0.0, 0.0, 0.0], ball[3:], np.zeros(3)])
-        steps = int(np.ceil(duration / self.timestep))
-        states, _ = self._rollout.rollout(self._model, self._data, start[None], nstep=steps)
-        full = np.concatenate([start[None], states[0]])
-        spin = _rotated(full[:, 4:8], full[:, 11:14])  # MuJoCo's is in the ball's frame
-        return np.concatenate([full[:, 1:4], full[:, 8:11], spin], axis=1)
+def check_sound(data: Any, last: Floats) -> None:
+    """Raises `Diverged` if MuJoCo warned or its last state is not finite."""
+    if data.warning.number.any() or not np.isfinite(last).all():
+        raised = [mujoco.mjtWarning(i).name for i in np.flatnonzero(data.warning.number)]
+        raise Diverged(f"the simulation broke down: {', '.join(raised) or 'not finite'}")
 
 
 def load_spec() -> Any:
     """The scene as an editable MuJoCo specification."""
     with as_file(files(__package__) / "scene.xml") as path:
         return mujoco.MjSpec.from_file(str(path))
-
-
-def _rotated(quaternions: Floats, vectors: Floats) -> Floats:
-    """`vectors` (n, 3) rotated by unit quaternions (n, 4), scalar first."""
-    scalar, axis = quaternions[:, :1], quaternions[:, 1:]
-    twice = 2 * np.cross(axis, vectors)
-    return np.asarray(vectors + scalar * twice + np.cross(axis, twice))
 
 
 def _triple(values: Floats) -> tuple[float, float, float]:

@@ -13,10 +13,10 @@ from crkr.protocol import Geom, Invalid, TaskSpec
 from crkr.sim_worker.skill import Demonstration, Outcome, SkillOptions
 from crkr.sim_worker.table_tennis.arm import ACCELERATION_LIMITS, SPEED_LIMITS, Arm
 from crkr.sim_worker.table_tennis.collision import CollisionCheck
-from crkr.sim_worker.table_tennis.contact import ContactEnvironment
+from crkr.sim_worker.table_tennis.environments import ENVIRONMENTS, make_environment, make_predictor
 from crkr.sim_worker.table_tennis.launchers import LAUNCHERS, Launcher
 from crkr.sim_worker.table_tennis.planner import HOME, Planner
-from crkr.sim_worker.table_tennis.play import Environment, Play
+from crkr.sim_worker.table_tennis.play import Play
 from crkr.sim_worker.table_tennis.primitive import Infeasible, JointLimits, JointTrajectory, Primitive
 from crkr.sim_worker.table_tennis.simulation import Diverged, Simulation
 from crkr.sim_worker.table_tennis.spec import task_spec
@@ -28,7 +28,6 @@ __all__ = ["ENVIRONMENTS", "TableTennis"]
 
 Floats = NDArray[np.float64]
 
-ENVIRONMENTS: Final = ("contact",)
 CRITERIA: Final = {"tuned": "strict", "paper": "paper"}  # the success that each preset learns from
 POOL: Final = 12  # balls drawn for each demonstration wanted
 CENTRAL: Final = 2.45  # demonstrations lie within this many standard deviations of the launcher's centre
@@ -44,7 +43,8 @@ class TableTennis:
     Goal (13,): joint positions [rad] and velocities [rad/s] at the hit, and the hit's time after the snapshot [s].
 
     Args:
-        options: Environment "contact"; launcher "nominal", "medium" or "wide"; preset "tuned" or "paper".
+        options: Environment "contact", "hybrid" or "analytic"; launcher "nominal", "medium" or "wide"; preset "tuned" or
+            "paper".
         traces: False leaves `Outcome.trace` empty, which saves half a millisecond a trial.
 
     Raises:
@@ -52,7 +52,7 @@ class TableTennis:
     """
 
     def __init__(self, options: SkillOptions, *, traces: bool = True) -> None:
-        environment = _choice("environment", options.environment or "contact", ENVIRONMENTS)
+        self._name = _choice("environment", options.environment or "contact", ENVIRONMENTS)
         self._launcher: Launcher = LAUNCHERS[_choice("launcher", options.launcher or "nominal", LAUNCHERS)]
         preset = _choice("preset", options.preset or "tuned", CRITERIA)
         self._criterion = CRITERIA[preset]
@@ -60,7 +60,7 @@ class TableTennis:
         self._low, self._high = self._spec.bounds
         self._arm = Arm()
         self._simulation = Simulation()
-        self._environment: Environment = _environment(environment, self._arm, self._simulation)
+        self._environment = make_environment(self._name, self._arm, self._simulation)
         self._collision = CollisionCheck(self._arm)
         self._primitive = Primitive(JointLimits(self._arm.lower, self._arm.upper, SPEED_LIMITS, ACCELERATION_LIMITS))
         self._planner: Planner | None = None
@@ -143,7 +143,7 @@ class TableTennis:
     def _plans(self, ball: Floats) -> Iterator[tuple[Floats, Outcome]]:
         """The planner's goals for `ball` with their outcomes, up to the first strict success."""
         if self._planner is None:
-            self._planner = Planner(self._arm)
+            self._planner = Planner(self._arm, make_predictor(self._name))
         for goal in self._planner.goals(ball):
             outcome = self.attempt(ball, goal)
             yield goal, outcome
@@ -185,11 +185,6 @@ class _Refused(Exception):
         outcomes = {"paper": False, "strict": False}
         info: dict[str, Any] = {"reason": reason, "detail": detail, "outcomes": outcomes}
         self.outcome = Outcome(cost=None, success=False, executed=False, outcome=None, info=info, trace=None)
-
-
-def _environment(name: str, arm: Arm, simulation: Simulation) -> Environment:
-    del name  # The only one yet.
-    return ContactEnvironment(arm, simulation)
 
 
 def _between(swing: JointTrajectory) -> Floats:

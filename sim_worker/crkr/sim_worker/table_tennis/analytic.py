@@ -1,0 +1,38 @@
+"""No simulator: the arm follows its swing perfectly, the ball flies and bounces by formulas."""
+
+from __future__ import annotations
+
+from typing import Final, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from crkr.sim_worker.table_tennis.arm import Arm
+from crkr.sim_worker.table_tennis.incoming import Incoming
+from crkr.sim_worker.table_tennis.joint_trajectory import JointTrajectory
+from crkr.sim_worker.table_tennis.play import FOLLOW, Play
+from crkr.sim_worker.table_tennis.strike import FaceMotion, played
+
+__all__ = ["AnalyticEnvironment"]
+
+Floats = NDArray[np.float64]
+
+INTERVAL: Final = 0.004  # between looks at the paddle [s]
+
+
+@final
+class AnalyticEnvironment:
+    """Executes swings by formulas alone."""
+
+    def __init__(self, arm: Arm) -> None:
+        self._arm = arm
+
+    def play(self, ball: Floats, swing: JointTrajectory, hit_time: float) -> Play:
+        """Executes `swing` against the ball measured as `ball` (6,) at time 0."""
+        times = np.arange(int(np.ceil((hit_time + FOLLOW) / INTERVAL)) + 1, dtype=np.float64) * INTERVAL
+        joints, speeds, _ = swing.sample(times)
+        faces = [self._arm.paddle(row) for row in joints]
+        centres, normals = np.array([face.position for face in faces]), np.array([face.normal for face in faces])
+        return played(
+            self._arm, Incoming(ball, float(times[-1])), FaceMotion(times, joints, speeds, centres, normals), hit_time
+        )

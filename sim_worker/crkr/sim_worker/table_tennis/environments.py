@@ -1,0 +1,33 @@
+"""The environments by name: how swings are executed, and what predicts a ball there."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from crkr.sim_worker.table_tennis.alone import ArmAlone, BallAlone
+from crkr.sim_worker.table_tennis.analytic import AnalyticEnvironment
+from crkr.sim_worker.table_tennis.arm import Arm
+from crkr.sim_worker.table_tennis.contact import ContactEnvironment
+from crkr.sim_worker.table_tennis.hybrid import HybridEnvironment
+from crkr.sim_worker.table_tennis.incoming import FreeBall
+from crkr.sim_worker.table_tennis.planner import Predictor
+from crkr.sim_worker.table_tennis.play import Environment
+from crkr.sim_worker.table_tennis.simulation import Simulation
+
+__all__ = ["ENVIRONMENTS", "make_environment", "make_predictor"]
+
+ENVIRONMENTS: Final = ("contact", "hybrid", "analytic")
+
+
+def make_environment(name: str, arm: Arm, simulation: Simulation) -> Environment:
+    """The environment of that name, one of `ENVIRONMENTS`."""
+    if name == "contact":
+        return ContactEnvironment(arm, simulation)
+    if name == "hybrid":
+        return HybridEnvironment(arm, ArmAlone())
+    return AnalyticEnvironment(arm)
+
+
+def make_predictor(name: str) -> Predictor:
+    """What a ball does that nobody hits, in the environment of that name."""
+    return BallAlone() if name == "contact" else FreeBall()

@@ -1,0 +1,42 @@
+"""The arm by simulation, the ball by exact formulas: the paddle moves as it really would, impacts are rigid."""
+
+from __future__ import annotations
+
+from typing import final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from crkr.sim_worker.table_tennis import tracking
+from crkr.sim_worker.table_tennis.alone import ArmAlone
+from crkr.sim_worker.table_tennis.arm import Arm
+from crkr.sim_worker.table_tennis.incoming import Incoming
+from crkr.sim_worker.table_tennis.joint_trajectory import JointTrajectory
+from crkr.sim_worker.table_tennis.play import FOLLOW, Play
+from crkr.sim_worker.table_tennis.strike import FaceMotion, played
+
+__all__ = ["HybridEnvironment"]
+
+Floats = NDArray[np.float64]
+
+
+@final
+class HybridEnvironment:
+    """Executes swings with a simulated arm and an event-driven ball; the ball does not push the arm back."""
+
+    def __init__(self, arm: Arm, alone: ArmAlone) -> None:
+        self._arm = arm
+        self._alone = alone
+
+    def play(self, ball: Floats, swing: JointTrajectory, hit_time: float) -> Play:
+        """Executes `swing` against the ball measured as `ball` (6,) at time 0.
+
+        Raises:
+            Diverged: The simulator broke down.
+        """
+        step = self._alone.timestep
+        times = np.arange(int(np.ceil((hit_time + FOLLOW) / step)) + 1, dtype=np.float64) * step
+        controls = tracking.controls(self._arm, self._alone.gains, swing, times[:-1])
+        record = self._alone.run(swing.position[0], controls)
+        face = FaceMotion(times, record.joints, record.speeds, record.centres, record.normals)
+        return played(self._arm, Incoming(ball, float(times[-1])), face, hit_time)

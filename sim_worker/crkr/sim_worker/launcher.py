@@ -21,6 +21,7 @@ __all__ = ["Launcher", "training_trials"]
 
 TICKETS_AHEAD: Final = 2  # so that a worker never waits for its launcher
 POLL_S: Final = 0.2
+SHARED_POLL_S: Final = 0.05  # where others train towards the same total
 STATUS_TIMEOUT_S: Final = 1.0
 
 
@@ -80,7 +81,7 @@ class Launcher:
             self._start_workers(fleet)
             while not (stop or self._report.problem or (self._complete and not (desk and desk.unfinished))):
                 self._hand_out(desk)
-                for member, event in fleet.events(POLL_S):
+                for member, event in fleet.events(self._poll_s):
                     self._handle(member, event, desk)
                     self._look(desk)
                 self._poll()
@@ -111,11 +112,15 @@ class Launcher:
             for _ in range(granted):
                 worker.order("go")
 
+    @property
+    def _poll_s(self) -> float:
+        return SHARED_POLL_S if self._quota.shared else POLL_S
+
     def _poll(self) -> None:
         """Learns from the server what other launchers did, and whether the total is reached."""
         if self._complete or time.monotonic() < self._next_poll:
             return
-        self._next_poll = time.monotonic() + POLL_S
+        self._next_poll = time.monotonic() + self._poll_s
         under_way = sum(worker.tickets for worker in self._workers)
         try:
             stored = training_trials(self._task.status(timeout_s=STATUS_TIMEOUT_S))

@@ -11,8 +11,8 @@ __all__ = ["Quota"]
 class Quota:
     """Counts tickets for training trials; a ticket is one trial that may be started.
 
-    With one launcher the total is met exactly. With several it may be exceeded by the trials that the others had under
-    way at the end.
+    With one launcher the total is met exactly. With several, each takes a quarter of what is left and looks again, so
+    that it is exceeded by no more than the trials that the others had under way at the end.
 
     Args:
         total: Training trials that the task is to hold in all; None is no limit.
@@ -26,6 +26,7 @@ class Quota:
         self._done = 0
         self._others = 0
         self._seen = stored
+        self._share = 0  # tickets that may still be granted before the next look, where others train too
 
     @property
     def trained(self) -> int:
@@ -39,9 +40,17 @@ class Quota:
             return None
         return max(0, self._total - self._base - self._granted - self._others)
 
+    @property
+    def shared(self) -> bool:
+        """Whether other launchers train towards the same total."""
+        return self._total is not None and self._others > 0
+
     def grant(self, wanted: int) -> int:
         """Takes up to `wanted` tickets and says how many."""
         granted = wanted if self.left is None else min(wanted, self.left)
+        if self.shared:
+            granted = min(granted, self._share)
+            self._share -= granted
         self._granted += granted
         return granted
 
@@ -53,6 +62,7 @@ class Quota:
         """Learns how many training trials the task holds: what our tickets cannot account for, others did."""
         self._others = max(self._others, stored - self._base - self._granted)
         self._seen = max(self._seen, stored)
+        self._share = max(1, (self.left or 0) // 4)
 
     def settle(self, stored: int) -> None:
         """Starts anew from the true count, with none of our tickets outstanding: those of lost workers come back."""

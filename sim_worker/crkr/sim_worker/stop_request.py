@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
+from multiprocessing import resource_tracker
 from types import FrameType
 from typing import Any, Final, final
 
@@ -49,6 +50,7 @@ class StopRequest:
 @contextmanager
 def ctrl_c_blocked() -> Iterator[None]:
     """A process started meanwhile inherits the mask and never sees SIGINT; ours is delivered afterwards."""
+    resource_tracker.ensure_running()  # starting it would lift the mask
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield

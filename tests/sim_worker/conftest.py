@@ -1,0 +1,201 @@
+"""Commands in processes of their own, with a skill of this folder, always ended; and a way to wait without a nap."""
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import pytest
+
+from crkr.client import Client, Task
+
+HERE = Path(__file__).parent
+PATIENCE_S = 60.0
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """A `crkr` command that runs."""
+
+    process: subprocess.Popen[str]
+    log: Path
+
+    def finish(self) -> tuple[int, str, str]:
+        """Exit status, standard output and standard error at its end."""
+        output, _ = self.process.communicate(timeout=PATIENCE_S)
+        return self.process.returncode, output, self.log.read_text()
+
+    def result(self) -> dict[str, Any]:
+        """The one JSON object that it prints when all goes well."""
+        status, output, log = self.finish()
+        assert status == 0, log
+        result: dict[str, Any] = json.loads(output)
+        return result
+
+    def wait_for_line(self, text: str) -> str:
+        """The first line of its standard error that contains `text`."""
+        lines = wait_until(lambda: [line for line in self.log.read_text().splitlines() if text in line], self.log)
+        return str(lines[0])
+
+    def members(self) -> list[int]:
+        """Processes that it started by `multiprocessing`: evaluator and workers, not the resource tracker."""
+        return [pid for pid in children(self.process.pid) if "spawn_main" in command_line(pid)]
+
+
+class StartCommand(Protocol):
+    """Starts `crkr WORDS`."""
+
+    def __call__(self, *words: str) -> Command: ...
+
+
+def wait_until(look: Callable[[], Any], log: Path | None = None) -> Any:
+    """What `look` gives as soon as that is true; fails after the patience."""
+    deadline, pause = time.monotonic() + PATIENCE_S, threading.Event()
+    while not (found := look()):
+        if time.monotonic() > deadline:
+            pytest.fail(f"waited in vain; the log says:\n{log.read_text() if log else ''}")
+        pause.wait(0.02)
+    return found
+
+
+def children(pid: int) -> list[int]:
+    """Processes that a process has started and that still run."""
+    try:
+        return [int(word) for word in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+    except FileNotFoundError:
+        return []
+
+
+def descendants(pid: int) -> list[int]:
+    """Children, their children, and so on."""
+    return [each for child in children(pid) for each in [child, *descendants(child)]]
+
+
+def command_line(pid: int) -> str:
+    """Words of a process; empty when it is gone."""
+    try:
+        return Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").decode()
+    except (FileNotFoundError, ProcessLookupError):
+        return ""
+
+
+def running(pids: list[int]) -> list[int]:
+    """Those of the processes that still run; one that only waits to be collected does not."""
+    return [pid for pid in pids if command_line(pid)]
+
+
+def environment() -> dict[str, str]:
+    """This process's, with the skills of this folder importable and one thread for each process's algebra."""
+    return {**os.environ, "PYTHONPATH": str(HERE), "OPENBLAS_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1"}
+
+
+@contextmanager
+def commands(folder: Path) -> Iterator[StartCommand]:
+    """Starts commands; whatever still runs at the end is ended."""
+    count = iter(range(100))
+    with ExitStack() as stack:
+
+        def start(*words: str) -> Command:
+            log = folder / f"command-{next(count)}.log"
+            errors = stack.enter_context(log.open("wb"))
+            process = stack.enter_context(
+                subprocess.Popen(
+                    [sys.executable, "-m", "crkr.client", *words],
+                    stdin=subprocess.DEVNULL,
+                    stdout=subprocess.PIPE,
+                    stderr=errors,
+                    env=environment(),
+                    text=True,
+                )
+            )
+            stack.callback(end, process)
+            return Command(process, log)
+
+        yield start
+
+
+@pytest.fixture
+def start_command(tmp_path: Path) -> Iterator[StartCommand]:
+    """Starts commands in the test's folder."""
+    with commands(tmp_path) as start:
+        yield start
+
+
+@dataclass(frozen=True, slots=True)
+class FinishedRun:
+    """What a run with one launcher left on a server that still answers."""
+
+    report: dict[str, Any]
+    log: str
+    task: Task
+    telemetry: list[tuple[str, dict[str, Any]]]
+
+
+@pytest.fixture(scope="session")
+def finished_run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[FinishedRun]:
+    """Two workers, 120 trials, ten fixed contexts, seed 1."""
+    folder = tmp_path_factory.mktemp("finished")
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    with commands(folder) as start, Client(endpoint) as client:
+        start("server", "--listen", endpoint, "--data", str(folder / "data")).wait_for_line("listening on")
+        task = client.task("reaching")
+        with task.subscribe(("trial", "evaluation")) as subscription:
+            options = {"-n": 2, "--trials": 120, "--evaluations": 10, "--seed": 1, "--connect": endpoint}
+            words = [str(word) for option in options.items() for word in option]
+            command = start("workers", "reaching:make", "--json", *words)
+            report = command.result()
+            telemetry = []
+            while (message := subscription.receive(0.5)) is not None:
+                telemetry.append(message)
+        yield FinishedRun(report, command.log.read_text(), task, telemetry)
+
+
+def end(process: subprocess.Popen[str]) -> None:
+    """Ends a process that a test has left, and its children with it."""
+    if process.poll() is None:
+        process.send_signal(signal.SIGTERM)
+        try:
+            process.wait(timeout=10)
+        except subprocess.TimeoutExpired:
+            process.kill()
+
+
+@dataclass(frozen=True, slots=True)
+class Processes:
+    """What tests ask about processes and time."""
+
+    wait_until: Callable[..., Any] = wait_until
+    children: Callable[[int], list[int]] = children
+    descendants: Callable[[int], list[int]] = descendants
+    running: Callable[[list[int]], list[int]] = running
+    command_line: Callable[[int], str] = command_line
+
+
+@pytest.fixture
+def processes() -> Processes:
+    """Questions about processes."""
+    return Processes()
+
+
+@pytest.fixture
+def skills_here(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Makes the skills of this folder importable."""
+    monkeypatch.syspath_prepend(HERE)
+
+
+@pytest.fixture
+def client(server: Any) -> Iterator[Client]:
+    """A client of the test's server."""
+    with Client(server.endpoint) as client:
+        yield client

@@ -26,10 +26,11 @@ import msgpack
 import zenoh
 
 REPOSITORY = Path(__file__).parents[2]
-PROJECT = "crkr-compose-test"
-TASK = "crkr/@v1/task/table-tennis/rpc"
+PROJECT = f"crkr-test-{os.getpid()}"
+TASK = "crkr/@v1/task/table-tennis"
 WORKERS = 2
-EACH = 5  # successful trials that every worker must have contributed
+TRIALS = 300  # that the workers do together before they leave
+EACH = 20  # successful trials that every one of them must have contributed
 BUILT_WITHIN_S, READY_WITHIN_S, LEARNED_WITHIN_S, STEP_WITHIN_S = 1800.0, 90.0, 300.0, 120.0
 
 T = TypeVar("T")
@@ -76,6 +77,8 @@ class Compose:
             "CRKR_PORT": str(self.port),
             "CRKR_WEB_PORT": str(self.web_port),
             "CRKR_STREAM_PORT": str(free_port()),
+            "CRKR_TRIALS": str(TRIALS),
+            "NO_COLOR": "1",
         }
 
     def run(self, *arguments: str, timeout_s: float = STEP_WITHIN_S) -> subprocess.CompletedProcess[str]:
@@ -107,8 +110,7 @@ def until(what: str, within_s: float, attempt: Callable[[], T | None]) -> T:
     return result
 
 
-def ask(port: int, verb: str, request: dict[str, Any]) -> dict[str, Any] | None:
-    """One query to the task, in plain Zenoh and msgpack; None where nobody answers or the answer is an error."""
+def configuration(port: int) -> zenoh.Config:
     config = zenoh.Config()
     for key, value in {
         "mode": '"client"',
@@ -117,9 +119,14 @@ def ask(port: int, verb: str, request: dict[str, Any]) -> dict[str, Any] | None:
         "scouting/multicast/enabled": "false",
     }.items():
         config.insert_json5(key, value)
+    return config
+
+
+def ask(port: int, verb: str, request: dict[str, Any]) -> dict[str, Any] | None:
+    """One query to the task, in plain Zenoh and msgpack; None where nobody answers or the answer is an error."""
     try:
-        with zenoh.open(config) as session:
-            for reply in session.get(f"{TASK}/{verb}", payload=msgpack.packb(request), timeout=5.0):
+        with zenoh.open(configuration(port)) as session:
+            for reply in session.get(f"{TASK}/rpc/{verb}", payload=msgpack.packb(request), timeout=5.0):
                 if reply.ok is not None:
                     answer: dict[str, Any] = msgpack.unpackb(reply.ok.payload.to_bytes())
                     return answer
@@ -128,17 +135,28 @@ def ask(port: int, verb: str, request: dict[str, Any]) -> dict[str, Any] | None:
     return None
 
 
-def learned_by_worker(port: int) -> Counter[str] | None:
-    """Successful training trials in the log, by worker."""
-    counts: Counter[str] = Counter()
+def at_work(port: int) -> int | None:
+    """How many workers hold a liveliness token of the task; None where the server does not answer."""
+    try:
+        with zenoh.open(configuration(port)) as session:
+            return len(list(session.liveliness().get(f"{TASK}/live/worker/*", timeout=5.0)))
+    except zenoh.ZError:
+        return None
+
+
+def trials_by_worker(port: int) -> tuple[Counter[str], Counter[str]] | None:
+    """Training trials in the log by worker: all of them, and those that succeeded."""
+    done: Counter[str] = Counter()
+    learned: Counter[str] = Counter()
     after: int | None = 0
     while after is not None:
         page = ask(port, "samples", {"after": after, "limit": 1000})
         if page is None:
             return None
-        counts.update(str(s["worker"]) for s in page["samples"] if s["kind"] == "trial" and s["success"])
+        done.update(str(s["worker"]) for s in page["samples"] if s["kind"] in {"trial", "failed"})
+        learned.update(str(s["worker"]) for s in page["samples"] if s["kind"] == "trial" and s["success"])
         after = page["next"]
-    return counts
+    return done, learned
 
 
 def check(compose: Compose) -> None:
@@ -147,10 +165,11 @@ def check(compose: Compose) -> None:
     compose.must("up", "-d", "--scale", f"worker={WORKERS}")
     until("the server's health check", READY_WITHIN_S, lambda: healthy(compose))
     say(f"the server is healthy; {WORKERS} workers start")
-    learned = until("trials of every worker in the log", LEARNED_WITHIN_S, lambda: both_learned(compose))
+    learned = until(f"{TRIALS} trials in the log and every worker gone", LEARNED_WITHIN_S, lambda: finished(compose))
     say("successful trials by worker: " + ", ".join(f"{name} {count}" for name, count in sorted(learned.items())))
+    if sum(count >= EACH for count in learned.values()) < WORKERS:
+        raise Failed(f"fewer than {WORKERS} workers have {EACH} successful trials")
     until("the viewer's page", READY_WITHIN_S, lambda: page(compose))
-    compose.must("stop", "worker")
     compare_restart(compose)
 
 
@@ -159,9 +178,12 @@ def healthy(compose: Compose) -> bool | None:
     return True if done.returncode == 0 else None
 
 
-def both_learned(compose: Compose) -> Counter[str] | None:
-    counts = learned_by_worker(compose.port) or Counter()
-    return counts if sum(count >= EACH for count in counts.values()) >= WORKERS else None
+def finished(compose: Compose) -> Counter[str] | None:
+    """Successful trials by worker, once all trials are in the log and the workers have left."""
+    counts = trials_by_worker(compose.port)
+    if counts is None or counts[0].total() < TRIALS or at_work(compose.port) != 0:
+        return None
+    return counts[1]
 
 
 def page(compose: Compose) -> bool | None:
@@ -184,7 +206,7 @@ def compare_restart(compose: Compose) -> None:
 
 
 @contextmanager
-def stopped_at_the_end(compose: Compose) -> Iterator[None]:
+def removed_at_the_end(compose: Compose) -> Iterator[None]:
     try:
         yield
     except Failed:
@@ -192,7 +214,8 @@ def stopped_at_the_end(compose: Compose) -> Iterator[None]:
             say(f"--- {service}\n" + compose.run("logs", "--tail", "40", service).stdout)
         raise
     finally:
-        compose.must("down", "-v")
+        compose.run("down", "--remove-orphans")  # podman-compose forgets scaled containers without it,
+        compose.must("down", "-v", "--remove-orphans")  # and frees the volume only when all of them are gone
 
 
 def main() -> int:
@@ -202,7 +225,7 @@ def main() -> int:
     started = time.monotonic()
     try:
         compose = Compose(command or engine())
-        with stopped_at_the_end(compose):
+        with removed_at_the_end(compose):
             check(compose)
     except (Failed, subprocess.TimeoutExpired) as failure:
         say(f"compose-test failed: {failure}")

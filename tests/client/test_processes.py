@@ -1,0 +1,117 @@
+"""How a process with a client ends: at once, whatever was forgotten; and what a fork of it may do."""
+
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+MakePeer = Callable[..., Any]
+PROGRAM = """
+import os, sys, threading
+from crkr.client import Client
+client = Client(sys.argv[1], timeout_s=30)
+client.info()
+print("connected", flush=True)
+"""
+FORK = """
+child = os.fork()
+if child == 0:
+    {}
+    sys.exit(7)
+code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+client.info()
+sys.exit(code)
+"""
+
+
+def start(program: str, endpoint: str) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, "-c", PROGRAM + program, endpoint],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def finish(process: subprocess.Popen[str]) -> tuple[int, str, str]:
+    """Status and output of a process that must end by itself."""
+    try:
+        out, err = process.communicate(timeout=15)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.communicate()
+        pytest.fail("the process did not end")
+    return process.returncode, out, err
+
+
+@pytest.mark.parametrize(
+    ("forgotten", "status"),
+    [
+        ("pass", 0),
+        ("s = client.task('a').subscribe(); t = client.task('a').announce('w')", 0),
+        ("s = client.task('a').subscribe(); sys.exit(3)", 3),
+        ("s = client.task('a').subscribe(); raise KeyError('lost')", 1),
+        ("s = client.task('a').subscribe(); threading.Thread(target=s.receive, args=(60,), daemon=True).start()", 0),
+    ],
+    ids=["client", "subscription and token", "exit", "exception", "reader"],
+)
+def test_a_forgotten_close_does_not_keep_the_process(make_peer: MakePeer, forgotten: str, status: int) -> None:
+    peer = make_peer([{}])
+    code, _, err = finish(start(forgotten, peer.endpoint))
+    assert code == status
+    assert ("lost" in err) if status == 1 else not err
+
+
+def test_a_call_in_a_daemon_thread_does_not_keep_the_process(make_peer: MakePeer) -> None:
+    peer = make_peer([{}, "hold"])
+    process = start(
+        "threading.Thread(target=client.task('a').refit, daemon=True).start(); sys.stdin.readline()", peer.endpoint
+    )
+    assert finish(process)[0] == 0
+
+
+def test_an_interrupt_ends_a_call_in_progress(make_peer: MakePeer) -> None:
+    peer = make_peer([{}, "hold"])
+    process = start("client.task('a').refit()", peer.endpoint)
+    assert process.stdout is not None
+    assert process.stdout.readline() == "connected\n"
+    while len(peer.queries) < 2:
+        assert process.poll() is None
+    process.send_signal(signal.SIGINT)
+    code, _, err = finish(process)
+    assert code == -signal.SIGINT
+    assert err.rstrip().endswith("KeyboardInterrupt")
+
+
+def test_a_call_in_a_forked_child_is_refused_and_the_parent_goes_on(make_peer: MakePeer) -> None:
+    peer = make_peer([{}])
+    inside = """
+    for make in (lambda: client, lambda: Client(sys.argv[1])):
+        try:
+            make().info()
+        except Exception as error:
+            print(type(error).__name__, "spawn" in str(error), flush=True)
+"""
+    code, out, err = finish(start(FORK.format(inside.strip()), peer.endpoint))
+    assert (code, err) == (7, "")
+    assert out.splitlines() == ["connected", "Unavailable True", "Unavailable True"]
+
+
+@pytest.mark.parametrize("inside", ["pass", "client.close()", "del client", "s.close(); t.close(); client.close()"])
+def test_a_forked_child_ends_whatever_it_inherited(make_peer: MakePeer, inside: str) -> None:
+    peer = make_peer([{}])
+    holding = "s = client.task('a').subscribe(); t = client.task('a').announce('w')\n"
+    code, _, err = finish(start(holding + FORK.format(inside), peer.endpoint))
+    assert (code, err) == (7, "")
+
+
+def test_importing_the_client_brings_neither_mathematics_nor_the_command() -> None:
+    program = (
+        "import sys; from crkr.client import Client; "
+        "print([name for name in ('scipy', 'typer', 'rich', 'crkr.learner', 'crkr.server') if name in sys.modules])"
+    )
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=30)
+    assert run.stdout == "[]\n"

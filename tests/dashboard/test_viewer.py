@@ -9,7 +9,7 @@ from urllib.parse import parse_qs, urlsplit
 
 import pytest
 
-from crkr.dashboard.viewer import Viewer, page_address, stream_address
+from crkr.dashboard.viewer import Viewer, page_address, require_display, stream_address
 from crkr.protocol import Invalid, Unavailable
 
 HOST = "127.0.0.1"
@@ -87,7 +87,7 @@ def test_a_window_needs_a_display(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
     with pytest.raises(Invalid, match="needs a display"):
-        Viewer.native(stream_address(HOST, 1), 2)
+        require_display()
 
 
 def test_the_pages_address_names_the_stream() -> None:

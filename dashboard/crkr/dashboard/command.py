@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Callable
+from dataclasses import dataclass
 from ipaddress import ip_address
 from pathlib import Path
 from typing import Annotated, Final, final
@@ -17,7 +18,7 @@ from crkr.client.options import Connect, LogLevel, ZenohConfig
 from crkr.dashboard.feed import Feed
 from crkr.dashboard.ports import choose_port
 from crkr.dashboard.view import View
-from crkr.dashboard.viewer import Viewer, page_address, stream_address
+from crkr.dashboard.viewer import Viewer, page_address, require_display, stream_address
 from crkr.dashboard.watching import follow, stopped_by_signals, wait_for_task
 from crkr.protocol import Unavailable
 
@@ -68,7 +69,14 @@ def watch(
     configure_logging(log_level)
     with stopped_by_signals() as stop, Client(connect, timeout_s=CALL_S, zenoh_config=zenoh_config) as client:
         session = _Session(client, task, patience, stop)
-        complete = _in_terminal(session) if terminal else _in_rerun(session, native, save, bind, port, web_port)
+        if terminal:
+            complete = _in_terminal(session)
+        else:
+            if native:
+                require_display()
+            if save is not None:
+                save.open("ab").close()  # says at once where it cannot be written
+            complete = _in_rerun(session, _Places.choose(bind, port, web_port), native, save)
     if not complete:
         _note("error: the recording could not be completed in time; its end may be missing")
         os._exit(1)  # an ordinary exit would wait for the same writer without end
@@ -103,24 +111,17 @@ def _in_terminal(session: _Session) -> bool:
     return True
 
 
-def _in_rerun(
-    session: _Session, native: bool, save: Path | None, bind: str, port: int | None, web_port: int | None
-) -> bool:
+def _in_rerun(session: _Session, places: _Places, native: bool, save: Path | None) -> bool:
     """Returns whether the recording was completed in time."""
     from crkr.dashboard.rerun_view import Recording, RerunDisplay
 
-    place = _served(bind)
-    if save is not None:
-        save.open("ab").close()  # says at once where it cannot be written
-    chosen = _port(bind, port, STREAM_PORT, "the recording")
-    recording = Recording((bind, chosen), save)
+    recording = Recording((places.bind, places.stream), save)
     try:
-        with _viewer(native, bind, place, chosen, web_port) as viewer:
+        with _viewer(places, native) as viewer:
             display = RerunDisplay(recording, session.task)
             feed = session.show(display, PICTURES_S, lambda: viewer.is_running)
             display.finish(feed.progress)
-            lost = not native and not session.stop.is_set() and not viewer.is_running
-            if lost:
+            if not (native or session.stop.is_set() or viewer.is_running):
                 raise Unavailable(f"the viewer's page is gone: {viewer.complaint()}")
     finally:
         complete = recording.close(CLOSE_S)
@@ -129,15 +130,44 @@ def _in_rerun(
     return complete
 
 
-def _viewer(native: bool, bind: str, place: str, port: int, web_port: int | None) -> Viewer:
+def _viewer(places: _Places, native: bool) -> Viewer:
+    stream = stream_address(places.host, places.stream)
     if native:
-        viewer = Viewer.native(stream_address(place, port), choose_port(LOOPBACK, None, port + 1))
+        viewer = Viewer.native(stream, places.page)
         _note("viewer: a window of its own; closing it ends this")
         return viewer
-    page = _port(bind, web_port, WEB_PORT, "the page")
-    viewer = Viewer.web(bind, place, page, stream_address(place, port))
-    _note(f"viewer: {page_address(place, page, port)}")
+    viewer = Viewer.web(places.bind, places.host, places.page, stream)
+    _note(f"viewer: {page_address(places.host, places.page, places.stream)}")
     return viewer
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class _Places:
+    """Where recording and page are served.
+
+    Attributes:
+        bind: Address to listen on.
+        host: How a browser on this machine calls it.
+        stream: Port of the recording.
+        page: Port of the page; with a window, the one that the window insists on.
+    """
+
+    bind: str
+    host: str
+    stream: int
+    page: int
+
+    @classmethod
+    def choose(cls, bind: str, port: int | None, web_port: int | None) -> _Places:
+        """Finds free ports; raises `Invalid` for a given one that is taken, `typer.BadParameter` for no address."""
+        try:
+            unspecified = ip_address(bind).is_unspecified
+        except ValueError as error:
+            raise typer.BadParameter(f"--bind needs an IP address; got {bind!r}") from error
+        stream = _port(bind, port, STREAM_PORT, "the recording")
+        page = _port(bind, web_port, WEB_PORT, "the page")
+        return cls(bind, LOOPBACK if unspecified else bind, stream, page)
 
 
 def _port(bind: str, given: int | None, default: int, purpose: str) -> int:
@@ -145,15 +175,6 @@ def _port(bind: str, given: int | None, default: int, purpose: str) -> int:
     if port != (given or default):
         _note(f"port {default} is taken; {purpose} is at {port}")
     return port
-
-
-def _served(bind: str) -> str:
-    """How a browser on this machine reaches what is bound to `bind`; raises `typer.BadParameter`."""
-    try:
-        address = ip_address(bind)
-    except ValueError as error:
-        raise typer.BadParameter(f"--bind needs an IP address; got {bind!r}") from error
-    return LOOPBACK if address.is_unspecified else bind
 
 
 def _note(message: str) -> None:

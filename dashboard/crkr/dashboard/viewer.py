@@ -20,7 +20,7 @@ from urllib.parse import quote
 
 from crkr.protocol import Invalid, Unavailable
 
-__all__ = ["Viewer", "page_address", "stream_address"]
+__all__ = ["Viewer", "page_address", "require_display", "stream_address"]
 
 _logger = logging.getLogger(__name__)
 SERVING: Final = "Hosting a web-viewer at"
@@ -44,6 +44,12 @@ def page_address(host: str, web_port: int, port: int) -> str:
     """What to open in a browser."""
     stream = quote(stream_address(host, port), safe="")
     return f"http://{host}:{web_port}/?url={stream}&hide_welcome_screen=1&persist=0"
+
+
+def require_display() -> None:
+    """Raises `Invalid` where no window can be opened."""
+    if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise Invalid("--native needs a display, and there is none here; use --web or --terminal")
 
 
 @final
@@ -89,13 +95,7 @@ class Viewer:
 
     @classmethod
     def native(cls, stream: str, own_port: int) -> Viewer:
-        """Opens the viewer's window; `own_port` is one that it insists on listening on.
-
-        Raises:
-            Invalid: There is no display.
-        """
-        if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-            raise Invalid("--native needs a display, and there is none here; use --web or --terminal")
+        """Opens the viewer's window; `own_port` is one that it insists on listening on."""
         return cls(["--bind", "127.0.0.1", "--port", str(own_port), "--connect", stream])
 
     @property

@@ -62,11 +62,11 @@ def wait_for_task(
             return task
         except (Unavailable, UnknownTask) as error:
             missing = f"the server at {client.endpoint}" if isinstance(error, Unavailable) else f"task {name!r}"
-            if time.monotonic() > deadline:
-                raise type(error)(f"{missing} did not appear within {patience_s:.0f} s: {error.message}") from error
             if not said:
                 say(f"waiting up to {patience_s:.0f} s for {missing} ...")
                 said = True
+            if time.monotonic() > deadline:
+                raise type(error)(f"{missing} did not appear within {patience_s:.0f} s: {error.message}") from error
             stop.wait(0.2)
     return None
 

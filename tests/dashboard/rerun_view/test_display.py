@@ -1,0 +1,108 @@
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from crkr.dashboard import Feed
+from crkr.dashboard.poller import News
+from crkr.dashboard.rerun_view import Recording, RerunDisplay
+from crkr.dashboard.wilson import wilson_interval
+from crkr.protocol import StoredTrial
+
+Make = Callable[..., StoredTrial]
+Message = Callable[..., dict[str, Any]]
+Read = Callable[[Path], dict[str, list[Any]]]
+
+STATUS = {"active": 4, "eligible": 6, "seq": 12, "latency_us": {"predict": {"p50": 200.0, "p99": 900.0}}}
+
+
+def column(batches: list[Any], name: str) -> list[Any]:
+    rows = [row for batch in batches if name in batch.schema.names for row in batch.column(name).to_pylist()]
+    return [row[0] if isinstance(row, list) else row for row in rows]
+
+
+@pytest.fixture
+def tables(recording: Recording, file: Path, read: Read, stored: Make, message: Message) -> dict[str, Any]:
+    """A short run: four evaluation trials, eight training trials with their publications, four evaluation trials."""
+    display = RerunDisplay(recording, "crane [1]")
+    feed = Feed(display)
+
+    def ball(seq: int, epoch: int, hit: bool) -> StoredTrial:
+        return stored(seq, "evaluation", info={"epoch": epoch, "outcomes": {"hit": hit}})
+
+    def trial(seq: int) -> StoredTrial:
+        hit = seq % 4 != 0
+        return stored(seq, cost=seq / 100, success=hit, info={"reason": "lifted" if hit else "stuck | odd"})
+
+    feed.news(News(trials=tuple(ball(seq, 0, seq > 2) for seq in range(1, 5))), 0.0)
+    feed.step(0.0)
+    feed.news(News(trials=tuple(trial(seq) for seq in range(5, 13)), status=STATUS), 10.0)
+    for seq in range(5, 13):
+        feed.publication("trial", message(seq))
+    feed.publication("trial", {"seq": 1})
+    feed.step(10.0)
+    feed.news(News(trials=tuple(ball(seq, 1, True) for seq in range(13, 17))), 20.0)
+    feed.step(20.0)
+    display.finish(feed.progress)
+    assert recording.close(5.0)
+    return read(file)
+
+
+def test_each_training_trial_is_a_point_of_its_cost_by_trial_and_epoch(tables: dict[str, Any]) -> None:
+    good, bad = tables["/cost/success"], tables["/cost/failure"]
+    assert column(good, "Scalars:scalars") == pytest.approx([0.05, 0.06, 0.07, 0.09, 0.10, 0.11])
+    assert column(bad, "Scalars:scalars") == pytest.approx([0.08, 0.12])
+    assert column(bad, "trial") == [4, 8]
+    assert column(bad, "epoch") == [1, 1]
+
+
+def test_the_learning_curve_has_a_point_and_a_wilson_band_for_each_evaluation(tables: dict[str, Any]) -> None:
+    rate, band = tables["/evaluation/hit/rate"], tables["/evaluation/hit/interval"]
+    assert column(rate, "Scalars:scalars") == [0.5, 1.0]
+    assert column(rate, "epoch") == [0, 1]
+    assert column(rate, "trial") == [0, 8]
+    for successes, middle, variance in zip(
+        (2, 4), column(band, "Measurements:values"), column(band, "Measurements:variances"), strict=True
+    ):
+        low, high = wilson_interval(successes, 4)
+        assert middle - variance**0.5 == pytest.approx(low)
+        assert middle + variance**0.5 == pytest.approx(high)
+
+
+def test_running_means_follow_the_trials(tables: dict[str, Any]) -> None:
+    assert column(tables["/reasons/lifted"], "Scalars:scalars")[-1] == 0.75
+    assert column(tables["/training/success"], "Scalars:scalars")[-1] == 0.75
+    assert column(tables["/cost/mean"], "Scalars:scalars")[-1] == pytest.approx(sum(range(5, 13)) / 800)
+
+
+def test_widths_novelty_and_durations_come_from_the_publications(tables: dict[str, Any]) -> None:
+    assert column(tables["/exploration/sigma"], "Scalars:scalars") == [0.4] * 8
+    assert column(tables["/exploration/novelty_mean"], "Scalars:scalars") == [0.75] * 8
+    assert column(tables["/latency/worker_execute"], "Scalars:scalars") == [20.0]
+
+
+def test_the_learner_and_its_latency_come_from_the_status(tables: dict[str, Any]) -> None:
+    assert column(tables["/learner/active"], "Scalars:scalars") == [4.0]
+    assert column(tables["/learner/eligible"], "Scalars:scalars") == [6.0]
+    assert column(tables["/latency/server_predict"], "Scalars:scalars") == pytest.approx([0.9])
+
+
+def test_every_row_in_time_has_trial_and_epoch(tables: dict[str, Any]) -> None:
+    for name, batches in tables.items():
+        for batch in batches:
+            timelines = {"trial", "epoch"} & set(batch.schema.names)
+            assert timelines in (set(), {"trial", "epoch"}), name
+
+
+def test_pages_show_numbers_and_no_foreign_markup(tables: dict[str, Any]) -> None:
+    status, outcomes = (column(tables[f"/{name}"], "TextDocument:text")[-1] for name in ("status", "outcomes"))
+    assert r"crane \[1\]" in status
+    assert "hit **100 %**" in status
+    assert r"| stuck \| odd | 2 | 25 % | 25 % |" in outcomes
+
+
+def test_the_log_says_how_evaluations_went_and_what_was_skipped(tables: dict[str, Any]) -> None:
+    lines = column(tables["/log"], "TextLog:text")
+    assert any(line.startswith("epoch 0: hit 0.50 [") for line in lines)
+    assert any(line.startswith("skipped 1 unreadable") for line in lines)

@@ -1,0 +1,158 @@
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from crkr.dashboard import Progress, Row, Telemetry
+from crkr.dashboard.rerun_view import Recording
+from crkr.dashboard.rerun_view.colours import FAILURE, SUCCESS
+from crkr.dashboard.rerun_view.stage import ALONE_S, MAX_WORKERS, Stage
+from crkr.protocol import StoredTrial
+
+Make = Callable[..., StoredTrial]
+Message = Callable[..., dict[str, Any]]
+Read = Callable[[Path], dict[str, list[Any]]]
+Show = Callable[..., None]
+
+
+@pytest.fixture
+def stage(recording: Recording) -> Stage:
+    return Stage(recording)
+
+
+@pytest.fixture
+def show(stage: Stage, stored: Make, message: Message) -> Show:
+    """Counts trial `seq` and puts what its worker published on the stage."""
+    progress = Progress()
+
+    def shown(seq: int, *, kind: str = "trial", success: bool = True, **fields: Any) -> None:
+        row: Row = progress.add(stored(seq, kind, success=success), 0.0)
+        stage.picture(row, Telemetry.from_wire(message(seq, kind=kind, success=success, **fields)))
+
+    return shown
+
+
+def values(batches: list[Any], column: str) -> list[Any]:
+    """A component's values; each row holds one."""
+    rows = [value for batch in batches for value in batch.column(column).to_pylist()]
+    return [value[0] if isinstance(value, list) else value for value in rows]
+
+
+def test_poses_go_out_as_moves_of_named_frames(
+    stage: Stage, show: Show, message: Message, recording: Recording, file: Path, read: Read
+) -> None:
+    show(1)
+    for now in (0.0, 0.05, 1.0):
+        stage.tick(now)
+    assert recording.close(5.0)
+    moves = read(file)["/world/crane-1/motion"]
+    trace = Telemetry.from_wire(message(1)).trace
+    assert trace is not None
+    frames, positions = values(moves, "Transform3D:child_frame"), values(moves, "Transform3D:translation")
+    assert len(frames) == 4 * 3  # two bodies, and the load's path, which no body carries
+    for index, name in enumerate(trace.bodies):
+        moved = [position for frame, position in zip(frames, positions, strict=True) if frame == f"crane-1/{name}"]
+        np.testing.assert_allclose(moved, trace.positions[:, index], rtol=1e-6)
+    load = [position for frame, position in zip(frames, positions, strict=True) if frame == "crane-1/load"]
+    np.testing.assert_allclose(load, trace.paths["load"], rtol=1e-6)
+    assert set(values(moves, "trial")) == {1}
+    times = {time for batch in moves for time in batch.column("trial_time").cast("int64").to_pylist()}
+    np.testing.assert_allclose(sorted(times), np.linspace(0.0, 0.1, 4) * 1e9, atol=1)  # nanoseconds
+
+
+def test_motion_follows_the_clock(stage: Stage, show: Show, recording: Recording, file: Path, read: Read) -> None:
+    show(1)
+    stage.tick(10.0)
+    stage.tick(10.04)
+    assert recording.close(5.0)
+    batches = read(file)["/world/crane-1/motion"]
+    assert sorted(batch.num_rows for batch in batches) == [3, 3]  # the poses at 0 and 1/30 s; the others lie ahead
+
+
+def test_trials_that_come_faster_than_they_play_leave_their_paths(
+    stage: Stage, show: Show, recording: Recording, file: Path, read: Read
+) -> None:
+    show(1)
+    stage.tick(0.0)
+    show(2, success=False)
+    show(3)
+    stage.tick(0.05)
+    stage.tick(5.0)
+    stage.tick(5.1)
+    assert recording.close(5.0)
+    tables = read(file)
+    paths = tables["/world/crane-1/paths/load"]
+    lines = [batch for batch in paths if "trial" in batch.schema.names]
+    colours = dict(zip(values(lines, "trial"), values(lines, "LineStrips3D:colors"), strict=True))
+    assert colours == {1: SUCCESS, 2: FAILURE, 3: SUCCESS}
+    assert set(values(tables["/world/crane-1/motion"], "trial")) == {1, 3}
+
+
+def test_every_worker_has_a_world_of_its_own_beside_the_others(
+    stage: Stage, show: Show, recording: Recording, file: Path, read: Read
+) -> None:
+    for seq, worker in enumerate(["crane-1", "crane-2", "odd / name"], 1):
+        show(seq, worker=worker)
+    stage.tick(0.0)
+    assert recording.close(5.0)
+    tables = read(file)
+    names = ["/world/crane-1", "/world/crane-2", r"/world/odd\ \/\ name"]
+    places = [values(tables[name][-1:], "Transform3D:translation")[0] for name in names]
+    distances = np.linalg.norm(np.diff(places, axis=0), axis=1)
+    assert (distances > 2.0).all()  # the crane's base is 2 m wide
+    assert all(f"{name}/shapes/boom/capsule" in tables for name in names)
+
+
+def test_a_scene_that_is_sent_again_is_drawn_once(
+    stage: Stage, show: Show, recording: Recording, file: Path, read: Read
+) -> None:
+    for seq in range(1, 5):
+        show(seq)
+    assert recording.close(5.0)
+    shapes = {name: batches for name, batches in read(file).items() if "/shapes/" in name}
+    assert set(shapes) == {
+        f"/world/crane-1/shapes/{shape}" for shape in ("world/box", "boom/capsule", "boom/cylinder", "hook/sphere")
+    }
+    assert all(sum(batch.num_rows for batch in batches) == 1 for batches in shapes.values())
+
+
+def test_demonstrations_are_played_where_the_first_worker_learns(
+    stage: Stage, show: Show, recording: Recording, file: Path, read: Read
+) -> None:
+    show(1, kind="demonstration", worker="teacher")
+    stage.tick(0.0)
+    show(2)
+    stage.tick(1.0)
+    assert recording.close(5.0)
+    assert not any(name.startswith("/world/teacher") for name in read(file))
+
+
+def test_demonstrations_alone_are_played_after_a_while(
+    stage: Stage, show: Show, recording: Recording, file: Path, read: Read
+) -> None:
+    show(1, kind="demonstration", worker="teacher")
+    stage.tick(0.0)
+    stage.tick(2 * ALONE_S)
+    assert recording.close(5.0)
+    assert "/world/teacher/motion" in read(file)
+
+
+def test_endless_workers_do_not_fill_the_stage(
+    stage: Stage, show: Show, recording: Recording, file: Path, read: Read
+) -> None:
+    for seq in range(1, MAX_WORKERS + 10):
+        show(seq, worker=f"w{seq}", scene=None)
+    stage.tick(0.0)
+    assert recording.close(5.0)
+    assert sum(name.endswith("/motion") for name in read(file)) == MAX_WORKERS
+
+
+def test_the_eye_sees_every_world_from_outside(stage: Stage, show: Show, recording: Recording) -> None:
+    for seq in range(1, 4):
+        show(seq, worker=f"w{seq}")
+    position, target = stage.eye()
+    assert recording.close(5.0)
+    assert position[2] > 1.0
+    assert np.linalg.norm(position - target) > 3.0

@@ -1,0 +1,133 @@
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+import urllib.request
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from crkr.client import Task
+
+Watch = Callable[..., subprocess.Popen[str]]
+
+
+@pytest.fixture
+def watch() -> Iterator[Watch]:
+    """Starts `crkr watch crane ...`; killed at the end if the test has not ended it."""
+    with ExitStack() as stack:
+
+        def start(*options: str, **environment: str) -> subprocess.Popen[str]:
+            command = [sys.executable, "-m", "crkr.client", "watch", "crane", *options]
+            process = stack.enter_context(
+                subprocess.Popen(
+                    command,
+                    stdout=subprocess.PIPE,
+                    stderr=subprocess.PIPE,
+                    text=True,
+                    env={**os.environ, "OPENBLAS_NUM_THREADS": "1"} | environment,
+                )
+            )
+            stack.callback(process.kill)  # does nothing to one that has ended
+            return process
+
+        yield start
+
+
+def line_with(stream: Any, text: str) -> str:
+    """Reads on until a line holds the text."""
+    seen = []
+    for line in stream:
+        seen.append(line)
+        if text in line:
+            return str(line).strip()
+    pytest.fail(f"{text!r} was not said: {seen}")
+
+
+def report(task: Task, count: int) -> None:
+    task.report(state=[[5.0]] * count, goal=[[0.1]] * count, cost=0.5, success=True, worker="crane-1")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_completes_the_recording_and_ends_the_page(
+    crane: Task, server: Any, watch: Watch, tmp_path: Path, number: signal.Signals
+) -> None:
+    report(crane, 120)
+    file = tmp_path / "run.rrd"
+    process = watch("--connect", server.endpoint, "--save", str(file), "--log-level", "info")
+    address = line_with(process.stderr, "viewer: ").removeprefix("viewer: ")
+    page = address.split("?")[0]
+    with urllib.request.urlopen(page, timeout=5) as answer:
+        assert answer.status == 200
+    line_with(process.stderr, "caught up with 120 trials")
+    began = time.monotonic()
+    process.send_signal(number)
+    _, rest = process.communicate(timeout=10)
+    assert time.monotonic() - began < 3.0, rest
+    assert process.returncode == 0, rest
+    assert f"recording: {file}" in rest
+    with socket.socket() as probe:
+        assert probe.connect_ex(("127.0.0.1", int(page.rstrip("/").rpartition(":")[2]))) != 0
+    assert rows(file, "/cost/success") == 120
+
+
+def rows(file: Path, entity: str) -> int:
+    """Rows in time of an entity of a complete recording."""
+    from rerun.chunk import RrdReader
+
+    reader = RrdReader(str(file))
+    (store,) = reader.recordings()
+    chunks = reader.stream(store=store).filter(content=entity).to_chunks()
+    return sum(chunk.num_rows for chunk in chunks if "trial" in chunk.to_record_batch().schema.names)
+
+
+def test_without_a_terminal_the_tables_become_lines(crane: Task, server: Any, watch: Watch) -> None:
+    report(crane, 7)
+    process = watch("--terminal", "--connect", server.endpoint)
+    assert "trials 7" in line_with(process.stdout, "trials")
+    process.send_signal(signal.SIGTERM)
+    assert process.wait(10) == 0
+
+
+def test_a_server_that_does_not_come_is_one_line_and_a_failure(watch: Watch, free_port: int) -> None:
+    process = watch("--terminal", "--patience", "1", "--connect", f"tcp/127.0.0.1:{free_port}")
+    out, error = process.communicate(timeout=20)
+    assert process.returncode == 1
+    assert out == ""
+    assert [line.split()[0] for line in error.splitlines()] == ["waiting", "error:"]
+
+
+def test_a_taken_port_that_was_asked_for_is_one_line_and_a_failure(watch: Watch) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = str(taken.getsockname()[1])
+        _, error = watch("--port", port).communicate(timeout=20)
+    assert error.splitlines() == [
+        f"error: port {port} on 127.0.0.1 is taken; choose another, or none and a free one is found"
+    ]
+
+
+def test_a_window_without_a_display_is_one_line_and_a_failure(watch: Watch) -> None:
+    _, error = watch("--native", DISPLAY="", WAYLAND_DISPLAY="").communicate(timeout=20)
+    assert error.splitlines()[-1] == "error: --native needs a display, and there is none here; use --web or --terminal"
+
+
+@pytest.mark.parametrize(
+    "options", [["--web", "--terminal"], ["--terminal", "--save", "x.rrd"], ["--bind", "everywhere"]]
+)
+def test_options_that_make_no_sense_together_are_wrong_usage(watch: Watch, options: list[str]) -> None:
+    process = watch(*options)
+    process.communicate(timeout=20)
+    assert process.returncode == 2
+
+
+def test_a_file_that_cannot_be_written_is_said_at_once(watch: Watch, tmp_path: Path) -> None:
+    process = watch("--save", str(tmp_path / "missing" / "run.rrd"))
+    _, error = process.communicate(timeout=20)
+    assert process.returncode == 1
+    assert "missing" in error
+    assert len(error.splitlines()) == 1

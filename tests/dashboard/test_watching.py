@@ -1,0 +1,154 @@
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import pytest
+
+from crkr.client import Client, Task
+from crkr.dashboard import EpochResult, Feed, Progress, Row, Telemetry
+from crkr.dashboard.watching import follow, stopped_by_signals, wait_for_task
+from crkr.protocol import TaskSpec, Unavailable, UnknownTask
+
+Message = Callable[..., dict[str, Any]]
+Publish = Callable[[str, dict[str, Any]], None]
+DEADLINE_S = 20.0
+
+
+class Witness:
+    """A view that remembers; `enough` says when the loop may end."""
+
+    def __init__(self) -> None:
+        self.progress = Progress()
+        self.pictures: list[Telemetry] = []
+        self.statuses: list[Mapping[str, Any]] = []
+        self.lines: list[tuple[bool, str]] = []
+        self.started = time.monotonic()
+
+    def trials(self, rows: Sequence[Row], progress: Progress) -> None:
+        self.progress = progress
+        assert rows[-1].seq == progress.seq
+
+    def picture(self, row: Row, telemetry: Telemetry) -> None:
+        assert row.seq == telemetry.seq
+        self.pictures.append(telemetry)
+
+    def epoch(self, result: EpochResult, progress: Progress) -> None:
+        self.progress = progress
+        self.lines.append((False, f"epoch {result.epoch}"))
+
+    def status(self, status: Mapping[str, Any], progress: Progress) -> None:
+        self.progress = progress
+        self.statuses.append(status)
+
+    def say(self, message: str, *, warning: bool = False) -> None:
+        self.lines.append((warning, message))
+
+    def tick(self, now: float, progress: Progress) -> None:
+        self.progress = progress
+        assert now - self.started < DEADLINE_S, self.lines
+
+
+def watched(task: Task, enough: Callable[[Witness, Feed], bool]) -> tuple[Witness, Feed]:
+    witness = Witness()
+    feed = Feed(witness)
+    with task.subscribe() as subscription:
+        follow(task, subscription, feed, 0.02, lambda: not enough(witness, feed))
+    return witness, feed
+
+
+def report(task: Task, count: int) -> list[int]:
+    receipt = task.report(
+        state=[[5.0]] * count,
+        goal=[[0.1]] * count,
+        cost=0.5,
+        success=True,
+        worker="crane-1",
+        info={"reason": "lifted"},
+    )
+    return list(receipt.seqs)
+
+
+def test_trials_from_before_are_caught_up_with_page_by_page(crane: Task) -> None:
+    for _ in range(3):
+        report(crane, 700)
+    witness, _ = watched(crane, lambda seen, _: seen.progress.trials == 2100 and bool(seen.statuses))
+    assert witness.progress.reasons == {"lifted": 2100}
+    assert witness.statuses[0]["samples"]["trial"] == 2100
+
+
+def test_publications_arrive_as_pictures_and_odd_ones_do_no_harm(
+    crane: Task, publish: Publish, message: Message
+) -> None:
+    seqs = report(crane, 3)
+    odd = [{}, {"seq": "x"}, message(seqs[0], trace={"time": 3}), message(seqs[0], scene=[7])]
+    sent = threading.Event()
+
+    def send(seen: Witness, feed: Feed) -> bool:
+        """Publishes once somebody listens; the publisher is not told, so it tries until something arrives."""
+        if not seen.pictures:
+            publish("trial", message(seqs[0]))
+        elif not sent.is_set():
+            sent.set()
+            for fields in odd:
+                publish("trial", fields)
+            publish("evaluation", message(seqs[1], kind="evaluation"))
+            publish("trial", message(seqs[2]))
+        return sent.is_set() and feed.skipped == len(odd) and {t.seq for t in seen.pictures} == set(seqs)
+
+    witness, _ = watched(crane, send)
+    assert {telemetry.kind for telemetry in witness.pictures} == {"trial", "evaluation"}
+    assert all(telemetry.trace is not None for telemetry in witness.pictures)
+
+
+def test_a_restarted_server_is_waited_for_and_gone_on_with(
+    start_server: Callable[..., Any], spec: TaskSpec, free_port: int
+) -> None:
+    first = start_server(port=free_port)
+    stage = {"restarted": False}
+
+    def restart(seen: Witness, feed: Feed) -> bool:
+        if not stage["restarted"] and seen.progress.trials == 2:
+            stage["restarted"] = True
+            first.process.send_signal(signal.SIGTERM)
+            first.process.wait(10)
+            start_server(port=free_port)
+            with Client(f"tcp/127.0.0.1:{free_port}") as other:
+                report(other.task("crane"), 3)
+        return seen.progress.trials == 5 and any("answers again" in line for _, line in seen.lines)
+
+    with Client(first.endpoint, timeout_s=0.2) as client:
+        task = client.create_task(spec)
+        report(task, 2)
+        witness, _ = watched(task, restart)
+    assert [warning for warning, line in witness.lines if "server" in line] == [True, False]
+
+
+def test_a_missing_server_is_waited_for_and_then_named(free_port: int) -> None:
+    said: list[str] = []
+    with Client(f"tcp/127.0.0.1:{free_port}") as client, pytest.raises(Unavailable, match="did not appear within 1 s"):
+        wait_for_task(client, "crane", 1.0, threading.Event(), said.append)
+    assert len(said) == 1
+    assert str(free_port) in said[0]
+
+
+def test_a_missing_task_is_waited_for_and_then_named(server: Any) -> None:
+    said: list[str] = []
+    with Client(server.endpoint) as client, pytest.raises(UnknownTask, match="task 'crane' did not appear"):
+        wait_for_task(client, "crane", 0.5, threading.Event(), said.append)
+    assert said == ["waiting up to 0 s for task 'crane' ..."]
+
+
+def test_a_signal_ends_the_wait(free_port: int) -> None:
+    with stopped_by_signals() as stop, Client(f"tcp/127.0.0.1:{free_port}") as client:
+        found = wait_for_task(client, "crane", 60.0, stop, lambda _: os.kill(os.getpid(), signal.SIGTERM))
+    assert found is None
+
+
+def test_signals_act_as_before_afterwards() -> None:
+    before = signal.getsignal(signal.SIGINT)
+    with stopped_by_signals():
+        assert signal.getsignal(signal.SIGINT) is not before
+    assert signal.getsignal(signal.SIGINT) is before

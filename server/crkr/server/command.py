@@ -17,6 +17,7 @@ __all__ = ["server"]
 
 logger = logging.getLogger(__name__)
 
+_SWITCH_S: Final = 0.0005  # a prediction waits at most this long for a thread that computes in Python
 _EXIT_PATIENCE_S: Final = 1.9  # then the process leaves as it is: everything acknowledged is committed anyway
 
 
@@ -32,6 +33,7 @@ def server(
     from crkr.server.server import DEFAULT_LISTEN, Server, ServerSettings
 
     _log_to_stderr(log_level)
+    sys.setswitchinterval(_SWITCH_S)
     stop = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())

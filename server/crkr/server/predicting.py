@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections import defaultdict
-from typing import final
-from uuid import UUID, uuid4
+from typing import Any, Final, final
 
 import numpy as np
 
-from crkr.learner import Model
-from crkr.protocol import Array, CrkrError, Prediction, PredictRequest, pack
+from crkr.protocol import CrkrError, Invalid, PredictRequest, pack
+from crkr.server.prediction_wire import packed_rows, state_bytes
 from crkr.server.request import Request
 from crkr.server.tasks import ServedTask, Tasks
 from crkr.server.workers import Workers
 
 __all__ = ["Predictor"]
+
+_Question = tuple[Request, dict[str, Any], bytes]  # request, its message, the bytes of its one state
+
+
+_VERSION: Final = 6  # byte of a UUID
+_VARIANT: Final = 8
 
 
 @final
@@ -27,82 +33,70 @@ class Predictor:
 
     def answer(self, requests: list[Request]) -> None:
         """Answers every one of them, with a prediction or an error."""
-        groups: defaultdict[tuple[str, bool], list[_Question]] = defaultdict(list)
+        together: defaultdict[tuple[str, bool], list[_Question]] = defaultdict(list)
         for request in requests:
             try:
-                question = _Question(request, self._tasks.get(request.task))
+                task = self._tasks.get(request.task)
+                message = request.message()
+                state = state_bytes(message, task.dimensions)
+                explore = message.get("explore", False)
+                if state is None or type(explore) is not bool:
+                    self._answer_alone(request, task, message)
+                else:
+                    together[request.task, explore].append((request, message, state))
             except Exception as error:  # this one's fault alone; it is answered and the others go on
                 request.fail_unexpectedly(error)
-            else:
-                groups[request.task, question.asked.explore].append(question)
-        for questions in groups.values():
-            self._answer_group(questions)
+        for (name, explore), questions in together.items():
+            self._answer_together(self._tasks.get(name), explore, questions)
 
-    def _answer_group(self, questions: list[_Question]) -> None:
-        model = questions[0].task.model
-        if len(questions) > 1 and self._answer_together(questions, model):
-            return
-        for question in questions:
-            started = time.perf_counter_ns()
-            try:
-                answer = model.predict(question.asked.states, question.asked.explore, question.ids)
-            except Exception as error:
-                question.request.fail_unexpectedly(error)
-            else:
-                self._reply(question, answer, started)
-
-    def _answer_together(self, questions: list[_Question], model: Model) -> bool:
-        """One call for all; False where one of them is refused, so that each must be asked alone."""
+    def _answer_together(self, task: ServedTask, explore: bool, questions: list[_Question]) -> None:
+        """One call of the model for all; where one of them is refused, each is asked alone."""
         started = time.perf_counter_ns()
-        rows = [np.atleast_2d(question.asked.states) for question in questions]
-        ids = [identity for question in questions for identity in question.ids]
+        states = np.frombuffer(b"".join(state for _, _, state in questions), "<f8")
         try:
-            answer = model.predict(np.concatenate(rows), questions[0].asked.explore, ids)
+            ids = [_trial_id(message) for _, message, _ in questions]
+            asked = states.reshape(len(questions), task.dimensions) if len(questions) > 1 else states
+            answer = task.model.predict(asked, explore, ids if explore else None)
         except CrkrError:
-            return False
-        first = 0
-        for question, own in zip(questions, rows, strict=True):
-            at = first if question.asked.states.ndim == 1 else slice(first, first + len(own))
-            first += len(own)
-            self._reply(question, _part(answer, question, at), started)
-        return True
+            for request, message, _ in questions:
+                try:
+                    self._answer_alone(request, task, message)
+                except Exception as error:
+                    request.fail_unexpectedly(error)
+            return
+        rows = packed_rows(answer, ids, (time.perf_counter_ns() - started) // 1000)
+        for (request, message, _), identity, row in zip(questions, ids, rows, strict=True):
+            request.reply_packed(row)
+            worker = message.get("worker")
+            if explore and type(worker) is str:
+                self._workers.asked(task.name, worker, (identity,))
 
-    def _reply(self, question: _Question, answer: Prediction, started_ns: int) -> None:
-        message = answer.to_wire()
-        message["compute_us"] = (time.perf_counter_ns() - started_ns) // 1000
-        question.request.reply_packed(pack(message))
-        if question.asked.explore and question.asked.worker is not None:
-            self._workers.asked(question.task.name, question.asked.worker, question.ids)
-
-
-@final
-class _Question:
-    """A decoded request; ids are made here where the client made none."""
-
-    __slots__ = ("asked", "ids", "request", "task")
-
-    def __init__(self, request: Request, task: ServedTask) -> None:
-        self.request, self.task = request, task
-        self.asked = PredictRequest.from_wire(request.message(), len(task.created.state))
-        self.ids: list[UUID] = list(self.asked.trial_ids) or [uuid4() for _ in range(self.asked.count)]
+    def _answer_alone(self, request: Request, task: ServedTask, message: dict[str, Any]) -> None:
+        """Any form of request, checked in full."""
+        question = PredictRequest.from_wire(message, task.dimensions)
+        started = time.perf_counter_ns()
+        ids = [one.bytes for one in question.trial_ids] or [_new_id() for _ in range(question.count)]
+        answer = task.model.predict(question.states, question.explore, ids)
+        reply = answer.to_wire()
+        reply["compute_us"] = (time.perf_counter_ns() - started) // 1000
+        request.reply_packed(pack(reply))
+        if question.explore and question.worker is not None:
+            self._workers.asked(task.name, question.worker, ids)
 
 
-def _part(whole: Prediction, question: _Question, at: int | slice) -> Prediction:
-    """One question's share of a common answer."""
+def _new_id() -> bytes:
+    """A random UUID (version 4) as bytes."""
+    identity = bytearray(os.urandom(16))
+    identity[_VERSION] = identity[_VERSION] & 0x0F | 0x40
+    identity[_VARIANT] = identity[_VARIANT] & 0x3F | 0x80
+    return bytes(identity)
 
-    def own(array: Array | None) -> Array | None:
-        return None if array is None else np.asarray(array[at])
 
-    return Prediction(
-        states=question.asked.states,
-        goals=np.asarray(whole.goals[at]),
-        means=np.asarray(whole.means[at]),
-        sigmas=np.asarray(whole.sigmas[at]),
-        novelty=np.asarray(whole.novelty[at]),
-        trial_ids=question.ids,
-        model_version=whole.model_version,
-        active=whole.active,
-        policy=whole.policy,
-        predicted_outcome=own(whole.predicted_outcome),
-        predicted_outcome_sd=own(whole.predicted_outcome_sd),
-    )
+def _trial_id(message: dict[str, Any]) -> bytes:
+    """The client's id as it is, or a new one; the model checks them."""
+    given = message.get("trial_ids")
+    if given is None:
+        return _new_id()
+    if type(given) is list and len(given) == 1 and type(given[0]) is bytes and len(given[0]) == 16:
+        return bytes(given[0])
+    raise Invalid("trial_ids must be one id of 16 bytes for one state")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Mapping
+from functools import cache
 from typing import Any, Protocol, final
 
 import zenoh
@@ -16,6 +17,7 @@ __all__ = ["Job", "Request", "refuse"]
 
 logger = logging.getLogger(__name__)
 
+_encoding = cache(lambda verb: zenoh.Encoding(encoding(verb)))  # few verbs: a key of another is refused before
 _ERROR_ENCODING = zenoh.Encoding(encoding("error"))
 
 
@@ -63,14 +65,27 @@ class Request:
         Invalid: The key is none of the protocol's; the query is left to the caller.
     """
 
-    __slots__ = ("_latencies", "_payload", "_query", "_received", "answered", "held", "scope", "size", "task", "verb")
+    __slots__ = (
+        "_key",
+        "_latencies",
+        "_payload",
+        "_query",
+        "_received",
+        "answered",
+        "held",
+        "scope",
+        "size",
+        "task",
+        "verb",
+    )
 
     def __init__(self, query: zenoh.Query, latencies: Latencies) -> None:
         self._received = time.perf_counter()
         self._query = query
         self._latencies = latencies
         self.answered = self.held = False
-        self.scope, self.task, self.verb = split_key(str(query.key_expr))
+        self._key = query.key_expr
+        self.scope, self.task, self.verb = split_key(str(self._key))
         payload = query.payload
         self._payload = b"" if payload is None else payload.to_bytes()
         self.size = len(self._payload)
@@ -94,7 +109,7 @@ class Request:
         self._latencies.record(self.verb, time.perf_counter() - self._received)
         try:
             with self._query:
-                self._query.reply(self._query.key_expr, payload, encoding=encoding(self.verb))
+                self._query.reply(self._key, payload, encoding=_encoding(self.verb))
         except zenoh.ZError as error:  # the client left, or the session is closing: nobody waits for this answer
             logger.debug("reply to %s was not sent: %s", self.verb, error)
 

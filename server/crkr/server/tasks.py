@@ -22,6 +22,7 @@ class ServedTask:
 
     Attributes:
         created: The specification as created.
+        dimensions: d.
         learner: Only for the learning thread, and for the replay before it starts.
         model: The policy that answers now.
         spec: The specification in force.
@@ -33,10 +34,23 @@ class ServedTask:
         fault: Why learning stopped, "" while it goes on.
     """
 
-    __slots__ = ("archived", "configured", "created", "eligible", "fault", "learner", "model", "samples", "seq", "spec")
+    __slots__ = (
+        "archived",
+        "configured",
+        "created",
+        "dimensions",
+        "eligible",
+        "fault",
+        "learner",
+        "model",
+        "samples",
+        "seq",
+        "spec",
+    )
 
     def __init__(self, spec: TaskSpec) -> None:
         self.created: Final = spec
+        self.dimensions: Final = len(spec.state)
         self.learner = Learner(spec)
         self.model: Model = self.learner.model
         self.spec = spec

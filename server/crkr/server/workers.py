@@ -8,7 +8,6 @@ import time
 from collections import OrderedDict
 from collections.abc import Iterable
 from typing import Any, Final, final
-from uuid import UUID
 
 import zenoh
 
@@ -30,7 +29,7 @@ class _Worker:
     def __init__(self) -> None:
         self.alive = self.announced = False
         self.last_seen = time.time()
-        self.open: OrderedDict[UUID, None] = OrderedDict()
+        self.open: OrderedDict[bytes, None] = OrderedDict()
 
 
 @final
@@ -50,7 +49,7 @@ class Workers:
         self._thread = threading.Thread(target=self._follow, args=(tokens,), name="liveliness", daemon=True)
         self._thread.start()
 
-    def asked(self, task: str, worker: str, trials: Iterable[UUID]) -> None:
+    def asked(self, task: str, worker: str, trials: Iterable[bytes]) -> None:
         """A worker was given goals to try."""
         with self._lock:
             entry = self._entry(task, worker)
@@ -61,7 +60,7 @@ class Workers:
             while len(entry.open) > _MOST_OPEN:
                 entry.open.popitem(last=False)
 
-    def reported(self, task: str, worker: str, trials: Iterable[UUID]) -> None:
+    def reported(self, task: str, worker: str, trials: Iterable[bytes]) -> None:
         """A worker reported trials; a late report is as good as any."""
         with self._lock:
             entry = self._entry(task, worker)

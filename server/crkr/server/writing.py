@@ -95,7 +95,7 @@ class Writer:
             task.note(entry)
         for trial in asked.trials:
             if trial.worker is not None:
-                self._workers.reported(task.name, trial.worker, (trial.id,))
+                self._workers.reported(task.name, trial.worker, (trial.id.bytes,))
 
         def reply(_: Any = None, failure: Exception | None = None) -> None:
             fresh = len(result.fresh)

@@ -1,0 +1,71 @@
+"""The quick way to write a reply gives the very bytes of the protocol's own codec."""
+
+from uuid import UUID
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from crkr.protocol import Prediction, pack
+from crkr.server.prediction_wire import packed_rows, state_bytes
+
+
+def prediction(rng: np.random.Generator, shape: tuple[int, ...], p: int, q: int) -> Prediction:
+    count = shape[0] if shape else 1
+    return Prediction(
+        states=rng.normal(size=(*shape, 2)),
+        goals=rng.normal(size=(*shape, p)),
+        means=rng.normal(size=(*shape, p)),
+        sigmas=rng.normal(size=(*shape, p)),
+        novelty=np.asarray(rng.uniform(size=shape)),
+        trial_ids=[UUID(bytes=rng.bytes(16)) for _ in range(count)],
+        model_version=int(rng.integers(2**40)),
+        active=int(rng.integers(300)),
+        policy="explore",
+        predicted_outcome=rng.normal(size=(*shape, q)) if q else None,
+        predicted_outcome_sd=rng.normal(size=(*shape, q)) if q else None,
+        compute_us=int(rng.integers(100_000)),
+    )
+
+
+def row(whole: Prediction, index: int) -> Prediction:
+    """One state's part, as the model would give it for that state alone."""
+
+    def part(array: np.ndarray | None) -> np.ndarray | None:
+        return None if array is None else np.asarray(array[index])
+
+    arrays = {name: part(getattr(whole, name)) for name in ("states", "goals", "means", "sigmas", "novelty")}
+    outcome = {name: part(getattr(whole, name)) for name in ("predicted_outcome", "predicted_outcome_sd")}
+    rest = {name: getattr(whole, name) for name in ("model_version", "active", "policy", "compute_us")}
+    return Prediction(trial_ids=[whole.trial_ids[index]], **arrays, **outcome, **rest)  # type: ignore[arg-type]  # a row has no None where the whole has none
+
+
+@given(st.integers(0, 2**32), st.integers(1, 5), st.integers(1, 40), st.integers(0, 5))
+def test_rows_of_a_batch_are_packed_as_single_answers(seed: int, count: int, p: int, q: int) -> None:
+    whole = prediction(np.random.default_rng(seed), (count,), p, q)
+    ids = [one.bytes for one in whole.trial_ids]
+    assert list(packed_rows(whole, ids, whole.compute_us)) == [pack(row(whole, n).to_wire()) for n in range(count)]
+
+
+@given(st.integers(0, 2**32), st.integers(1, 40), st.integers(0, 5))
+def test_an_answer_for_one_state_is_packed_as_itself(seed: int, p: int, q: int) -> None:
+    whole = prediction(np.random.default_rng(seed), (), p, q)
+    assert list(packed_rows(whole, [whole.trial_ids[0].bytes], whole.compute_us)) == [pack(whole.to_wire())]
+
+
+@pytest.mark.parametrize(
+    "states",
+    [
+        None,
+        [0.0, 1.0],
+        {"shape": [3], "dtype": "<f8", "data": bytes(24)},
+        {"shape": [1, 2], "dtype": "<f8", "data": bytes(16)},
+        {"shape": [2], "dtype": "<f4", "data": bytes(8)},
+        {"shape": [2], "dtype": "<f8", "data": bytes(15)},
+        {"shape": [2], "dtype": "<f8", "data": "0123456789012345"},
+    ],
+)
+def test_any_other_form_of_states_is_left_to_the_full_check(states: object) -> None:
+    assert state_bytes({"states": states}, 2) is None
+    assert state_bytes({"states": {"shape": [2], "dtype": "<f8", "data": bytes(16)}}, 2) == bytes(16)

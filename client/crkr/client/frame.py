@@ -57,13 +57,13 @@ def _add(app: typer.Typer, entries: Iterable[EntryPoint]) -> None:
     for entry in sorted(entries, key=lambda entry: (rank.get(entry.name.split(".")[0], len(order)), entry.name)):
         group, _, name = entry.name.rpartition(".")
         if not group:
-            app.command(name, rich_help_panel=_panel(name))(_load(entry))
+            _register(app, name, entry, _panel(name))
             continue
         if group not in groups:
             groups[group] = _application(_GROUP_HELP.get(group, f"Commands of {group}."))
             groups[group].callback()(lambda: None)  # stays a group even with one command
             app.add_typer(groups[group], name=group, rich_help_panel=_panel(group))
-        groups[group].command(name)(_load(entry))
+        _register(groups[group], name, entry, None)
 
 
 def _application(text: str) -> typer.Typer:
@@ -79,23 +79,23 @@ def _panel(name: str) -> str:
     return next((panel for panel, names in _PANELS.items() if name in names), "From other packages")
 
 
-def _load(entry: EntryPoint) -> Callable[..., object]:
-    """The command's function, guarded; where it cannot be imported, one that says why."""
-    command, part = entry.name.replace(".", " "), entry.value.split(":")[0]
+def _register(app: typer.Typer, name: str, entry: EntryPoint, panel: str | None) -> None:
+    """Adds the command, guarded; where it cannot be imported, one that takes anything and says why."""
+    command, module = entry.name.replace(".", " "), entry.value.split(":")[0]
     try:
-        return guarded(entry.load(), command, part)
+        app.command(name, rich_help_panel=panel)(guarded(entry.load(), command, module))
     except (ImportError, AttributeError) as error:
-        return _absent(command, reason_missing(error, command, part))
+        lenient = {"ignore_unknown_options": True, "allow_extra_args": True}
+        absent = _absent(reason_missing(error, command, module))
+        app.command(name, rich_help_panel=panel, context_settings=lenient)(absent)
 
 
-def _absent(command: str, reason: str) -> Callable[..., object]:
-    def absent(arguments: Annotated[list[str] | None, typer.Argument(hidden=True)] = None) -> None:
-        del arguments
+def _absent(reason: str) -> Callable[[], None]:
+    def absent() -> None:
         typer.echo(f"error: {reason}", err=True)
         raise typer.Exit(1)
 
     absent.__doc__ = f"(not installed) {reason}"
-    absent.__name__ = command
     return absent
 
 

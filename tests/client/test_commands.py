@@ -1,0 +1,187 @@
+"""The client's commands against a real server: what people read, what programs read, and the exit status."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+from uuid import UUID, uuid4
+
+import pytest
+from typer.testing import CliRunner, Result
+
+from crkr.client import Client
+from crkr.client.frame import build
+
+Run = Callable[..., Result]
+SPEC = """
+name = "{name}"
+budget = 50
+[[state]]
+name = "distance"
+unit = "m"
+low = 0.0
+high = 4.0
+[[goal]]
+name = "speed"
+unit = "m/s"
+low = 0.0
+high = 8.0
+[[goal]]
+name = "angle"
+low = -1.0
+high = 1.0
+"""
+DEMONSTRATION = (
+    "--state",
+    "1.5",
+    "--goal",
+    "3 0.25",
+    "--cost",
+    "0.1",
+    "--success",
+    "--kind",
+    "demonstration",
+    "--wait",
+)
+
+
+@pytest.fixture(scope="module")
+def run(shared_endpoint: str) -> Run:
+    with Client(shared_endpoint) as client:
+        client.wait_until_ready(20.0)
+
+    def run(command: str, *arguments: str, status: int = 0) -> Result:
+        words = [command, *arguments, "--connect", shared_endpoint]
+        result = CliRunner().invoke(build(words), words)
+        assert result.exit_code == status, f"{result.stdout}\n{result.stderr}\n{result.exception!r}"
+        return result
+
+    return run
+
+
+@pytest.fixture
+def task(run: Run, tmp_path: Path) -> str:
+    name = f"throw-{uuid4()}"
+    (tmp_path / "throw.toml").write_text(SPEC.format(name=name))
+    assert run("create", str(tmp_path / "throw.toml")).stdout == f"created {name} (R^1 -> R^2)\n"
+    run("report", name, *DEMONSTRATION)
+    return name
+
+
+def data(result: Result) -> Any:
+    """The one JSON value on standard output."""
+    assert result.stdout.count("\n") == 1
+    return json.loads(result.stdout)
+
+
+def test_a_task_is_created_once_and_listed(run: Run, task: str, tmp_path: Path) -> None:
+    again = run("create", str(tmp_path / "throw.toml"), "--json")
+    assert data(again) == {"name": task, "created": False}
+    [listed] = [entry for entry in data(run("tasks", "--json")) if entry["spec"]["name"] == task]
+    assert (listed["samples"], listed["active"], listed["spec"]["budget"]) == (1, 1, 50)
+    assert any(line.split() == [task, "1", "2", "1", "1", "2"] for line in run("tasks").stdout.splitlines())
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("budgte = 3\n" + SPEC, "budgte"),
+        (SPEC.replace('"{name}"', "3"), "task name"),
+        ("budget =\n" + SPEC, "is not TOML"),
+    ],
+)
+def test_a_bad_specification_file_is_refused_with_the_reason(run: Run, tmp_path: Path, text: str, message: str) -> None:
+    path = tmp_path / "bad.toml"
+    path.write_text(text)
+    assert message in run("create", str(path), status=1).stderr
+
+
+def test_a_prediction_is_printed_by_name_and_as_json(run: Run, task: str) -> None:
+    shown = run("predict", task, "--state", "1.5").stdout
+    assert "speed  3" in shown
+    assert "m/s" in shown
+    answer = data(run("predict", task, "--state", "1.5", "--explore", "--json", "--id", str(UUID(int=5))))
+    assert answer["trial_id"] == str(UUID(int=5))
+    assert len(answer["goal"]) == len(answer["sigma"]) == 2
+    assert (answer["policy"], answer["active"]) == ("explore", 1)
+
+
+def test_a_report_tells_new_from_known(run: Run, task: str) -> None:
+    trial = ["--state", "2", "--goal", "4, -0.5", "--cost", "0.2", "--failure", "--id", str(uuid4())]
+    assert run("report", task, *trial, "--wait").stdout.startswith("stored: number 3")
+    assert run("report", task, *trial).stdout.startswith("known already: number 3")
+    failed = data(run("report", task, "--state", "2", "--goal", "4 0", "--failure", "--kind", "failed", "--json"))
+    assert (failed["accepted"], failed["seqs"]) == (1, [4])
+
+
+def test_an_explanation_names_the_samples(run: Run, task: str) -> None:
+    answer = data(run("explain", task, "--state", "1.5", "--json"))
+    [neighbour] = answer["neighbours"]
+    assert neighbour["distance"] == 0
+    text = run("explain", task, "--state", "1.5", "--sample", neighbour["id"]).stdout
+    assert f"{neighbour['id']} is in the model; no sample near it is better" in text
+
+
+def test_the_status_is_shown_by_verb_and_probed_by_exit_code(run: Run, task: str, free_port: int) -> None:
+    assert data(run("status", task, "--json"))["samples"]["demonstration"] == 1
+    shown = run("status", task).stdout
+    assert "samples.demonstration" in shown
+    assert "no workers seen" in shown
+    assert "protocol" in run("status").stdout
+    assert run("status", "--check").stdout == ""
+    assert run("status", task, "--check").stdout == ""
+    assert "no task" in run("status", "no-such-task", "--check", status=1).stderr
+    words = ["status", "--check", "--connect", f"tcp/127.0.0.1:{free_port}", "--timeout", "0.2"]
+    result = CliRunner().invoke(build(words), words)
+    assert result.exit_code == 1
+    assert result.stderr.count("\n") == 1
+
+
+def test_a_task_is_managed(run: Run, task: str) -> None:
+    [sample] = data(run("explain", task, "--state", "1.5", "--json"))["neighbours"]
+    assert data(run("recost", task, f"{sample['id']}=0.5", "--reason", "camera", "--json"))["changed"] == 1
+    changed = data(run("configure", task, "budget=9", "cost_map=odds", "kernel.linear_weight=0.5", "--json"))["spec"]
+    assert (changed["budget"], changed["cost_map"], changed["kernel"]["linear_weight"]) == (9, "odds", 0.5)
+    assert "accepted" in data(run("refit", task, "--json"))
+    assert "removed: 1" in run("remove", task, sample["id"]).stdout
+    assert "archived: True" in run("archive", task, "--yes").stdout
+    assert "archived" in run("report", task, *DEMONSTRATION, status=1).stderr
+
+
+@pytest.mark.parametrize(
+    ("command", "arguments", "message"),
+    [
+        ("predict", ["throw", "--state", "one"], "--state"),
+        ("explain", ["throw", "--state", "1", "--sample", "5"], "UUID"),
+        ("recost", ["throw", "12"], "UUID"),
+        ("recost", ["throw", f"{UUID(int=1)}=much"], "ID=COST"),
+        ("configure", ["throw", "budget"], "KEY=VALUE"),
+        ("predict", ["throw"], "--state"),
+        ("status", ["--timeout", "0"], "--timeout"),
+    ],
+)
+def test_wrong_usage_exits_with_2_and_says_how(run: Run, command: str, arguments: list[str], message: str) -> None:
+    assert message in run(command, *arguments, status=2).stderr
+
+
+def test_archiving_asks_first(run: Run, task: str) -> None:
+    run("archive", task, status=1)
+    assert data(run("status", task, "--json"))["archived"] is False
+
+
+def test_the_doctor_finds_nothing_wrong_with_a_healthy_server(run: Run, tmp_path: Path) -> None:
+    report = data(run("doctor", "--data", str(tmp_path), "--json"))
+    assert report["ok"] is True
+    assert {entry["check"] for entry in report["checks"]} >= {
+        "versions", "endpoint", "reachable", "protocol", "round trip", "disk", "commit",
+    }  # fmt: skip
+
+
+def test_the_doctor_says_what_is_wrong(run: Run, free_port: int, tmp_path: Path) -> None:
+    missing = data(run("doctor", "--data", str(tmp_path / "absent"), "--json", status=1))
+    assert [entry["check"] for entry in missing["checks"] if not entry["ok"]] == ["disk"]
+    words = ["doctor", "--connect", f"tcp/127.0.0.1:{free_port}", "--timeout", "0.2"]
+    result = CliRunner().invoke(build(words), words)
+    assert result.exit_code == 1
+    assert "FAILED" in result.stdout
+    assert str(free_port) in result.stdout

@@ -66,7 +66,7 @@ def test_a_warm_start_at_the_optimum_is_not_accepted_twice() -> None:
     first = fit(start)
     again = fit(replace(start, lengthscales=first.lengthscales, signal_variance=first.signal_variance))
     assert first.accepted
-    assert again.after == pytest.approx(first.after, abs=1e-3)
+    assert again.after == pytest.approx(first.after, abs=0.05)
     assert again.after >= again.before
 
 

@@ -120,7 +120,7 @@ def test_one_state_and_a_batch_agree(make_spec: MakeSpec) -> None:
     model = taught(make_spec()).model
     states, ids = np.random.default_rng(5).uniform(-2, 2, (600, 2)), [uuid4() for _ in range(600)]
     batch = model.predict(states, True, ids)
-    for index in (0, 1, 511, 512, 599):
+    for index in (0, 1, 127, 128, 599):
         one = model.predict(states[index], True, ids[index])
         assert one.goal.shape == (2,)
         assert one.novelty.shape == ()

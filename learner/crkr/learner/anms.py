@@ -149,9 +149,8 @@ class Anms:
         if found < 0:
             return np.inf, -1
         if found != nearest:
-            near = np.flatnonzero(np.less_equal(d2, d2[found], out=self._near[: len(d2)]))
-            near = near[c[near] <= cost]
-            found = int(near[d2[near].argmin()])
+            near = np.less_equal(d2, d2[found], out=self._near[: len(d2)])
+            return _nearest(d2, near & (c <= cost))
         return float(d2[found]), found
 
     def _search(self, indices: Indices) -> None:

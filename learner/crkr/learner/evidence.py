@@ -107,7 +107,10 @@ def log_evidence(problem: FitProblem, theta: Array) -> tuple[float, Array]:
     lengthscales, variance = np.exp(theta[:-1]), float(np.exp(theta[-1]))
     m, p = problem.Y.shape
     Z = problem.X / lengthscales
-    K = variance * np.exp(-0.5 * squared_distances(Z, Z))
+    K = squared_distances(Z, Z)
+    K *= -0.5
+    np.exp(K, out=K)
+    K *= variance
     floor = problem.noise_floor * variance
     Ky = K + problem.linear_weight * (Z @ Z.T) if problem.linear_weight else K.copy()
     Ky.flat[:: m + 1] += np.maximum(problem.noise, floor)
@@ -117,8 +120,11 @@ def log_evidence(problem: FitProblem, theta: Array) -> tuple[float, Array]:
     A, _ = lapack.dpotrs(L, problem.Y, lower=1)
     value = -0.5 * float(np.vdot(problem.Y, A)) - p * (float(np.log(L.diagonal()).sum()) + 0.5 * m * np.log(2 * np.pi))
     inverse, _ = lapack.dpotri(L, lower=1)  # the trace in eq. 7 needs every entry; predictions never do
-    G = A @ A.T - p * (inverse + inverse.T)
-    G.flat[:: m + 1] += p * inverse.diagonal()
+    inverse *= p
+    G = A @ A.T
+    G -= inverse  # the lower triangle, then the upper; both with the diagonal
+    G -= inverse.T
+    G.flat[:: m + 1] += inverse.diagonal()
     gradient = np.empty_like(theta)
     gradient[:-1] = -problem.linear_weight * np.einsum("ij,ij->j", Z, G @ Z) if problem.linear_weight else 0.0
     at_floor = problem.noise < floor
@@ -139,13 +145,14 @@ def fit(problem: FitProblem) -> FitResult:
     low = np.append(log_reference + np.log(_LENGTHSCALE_RANGE[0]), np.log(_VARIANCE_RANGE[0]))
     high = np.append(log_reference + np.log(_LENGTHSCALE_RANGE[1]), np.log(_VARIANCE_RANGE[1]))
     start = np.append(np.log(problem.lengthscales), log_variance)
-    before, _ = log_evidence(problem, start)
+    at_start = log_evidence(problem, start)
+    before = at_start[0]
 
     def objective(theta: Array) -> tuple[float, Array]:
-        value, gradient = log_evidence(problem, theta)
+        value, gradient = at_start if np.array_equal(theta, start) else log_evidence(problem, theta)
         return (-value, -gradient) if np.isfinite(value) else (_UNREACHABLE, gradient)
 
-    options = {"maxiter": _MAX_ITERATIONS, "ftol": 1e-7}
+    options = {"maxiter": _MAX_ITERATIONS, "ftol": 1e-5}
     found = minimize(
         objective,
         np.clip(start, low, high),

@@ -8,7 +8,7 @@ Methods take standardised states, functions say what they take.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final, final
 
 import numpy as np
@@ -16,16 +16,10 @@ from scipy.spatial.distance import cdist
 
 from crkr.protocol import Array
 
-__all__ = ["Kernel", "squared_distances", "standardise"]
+__all__ = ["Kernel", "squared_distances"]
 
 # Far beyond any sensor, and still a number whose square and products stay finite.
 _FARTHEST: Final = 1e50
-
-
-def standardise(states: Array, centre: Array, lengthscales: Array) -> Array:
-    """States in units of the length-scales around the centre; (..., d) to (..., d), always finite."""
-    reach = _FARTHEST * lengthscales
-    return np.minimum(np.maximum(states - centre, -reach), reach) / lengthscales
 
 
 def squared_distances(A: Array, B: Array, out: Array | None = None) -> Array:
@@ -57,16 +51,20 @@ class Kernel:
     lengthscales: Array
     signal_variance: float
     linear_weight: float = 0.0
+    _low: Array = field(init=False, repr=False)
+    _high: Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         for name in ("centre", "lengthscales"):
             copy = np.array(getattr(self, name), dtype=np.float64)
             copy.setflags(write=False)
             object.__setattr__(self, name, copy)
+        object.__setattr__(self, "_high", _FARTHEST * self.lengthscales)
+        object.__setattr__(self, "_low", -_FARTHEST * self.lengthscales)
 
     def standardise(self, states: Array) -> Array:
-        """States (..., d) in their units to the standardised states that the other methods take."""
-        return standardise(states, self.centre, self.lengthscales)
+        """States (..., d) in their units to the standardised ones that the other methods take; always finite."""
+        return np.minimum(np.maximum(states - self.centre, self._low), self._high) / self.lengthscales
 
     def matrix(self, A: Array, B: Array) -> Array:
         """Kernel matrix (a, b) between standardised states (a, d) and (b, d)."""

@@ -119,7 +119,8 @@ class Model:
             mean, variances, priors = regression.over(z)
             sigmas = own.scales * (own.explore_scale * np.sqrt(variances + own.exploration_floor))[:, None]
             novelty = np.minimum(variances / priors, 1.0)
-        self._refuse_novel(novelty)
+        if own.novelty_limit is not None:
+            _refuse_novel(novelty, own.novelty_limit, own.task)
         means = own.prior + own.scales * mean
         if explore:
             u = uniforms(own.seed, ids, len(own.scales)).reshape(means.shape)
@@ -130,15 +131,6 @@ class Model:
             array.setflags(write=False)
         policy = "explore" if explore else "mean"
         return Prediction(states, goals, means, sigmas, novelty, ids, self.version, len(self.ids), policy)
-
-    def _refuse_novel(self, novelty: Array) -> None:
-        limit = self.parameters.novelty_limit
-        if limit is not None and (novelty > limit).any():
-            index, worst = int(np.argmax(novelty)), float(np.max(novelty))
-            raise NovelState(
-                f"state {index} has novelty {worst:.3f}; task {self.parameters.task!r} refuses above {limit}",
-                details={"index": index, "novelty": worst, "limit": limit},
-            )
 
     def to_wire(self) -> dict[str, Any]:
         """The model as data, as the `model` query returns it."""
@@ -167,6 +159,15 @@ class Model:
             finite_array(arrays["states"].reshape(-1, d), "states", (m, d)),
             finite_array(arrays["goals"].reshape(-1, p), "goals", (m, p)),
             finite_array(arrays["costs"], "costs", (m,)),
+        )
+
+
+def _refuse_novel(novelty: Array, limit: float, task: str) -> None:
+    index, worst = int(np.argmax(novelty)), float(np.max(novelty))
+    if worst > limit:
+        raise NovelState(
+            f"state {index} has novelty {worst:.3f}; task {task!r} refuses above {limit}",
+            details={"index": index, "novelty": worst, "limit": limit},
         )
 
 

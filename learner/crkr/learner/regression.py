@@ -25,7 +25,7 @@ __all__ = ["Regression"]
 
 _log = logging.getLogger(__name__)
 
-_BLOCK: Final = 512  # queries at a time: their kernel rows stay in the cache
+_BLOCK: Final = 128  # queries at a time, so that their kernel rows stay in the cache
 _APPEND_FROM: Final = 512  # below this size a fresh factor costs less than the care to extend one
 
 
@@ -104,7 +104,7 @@ def _factor(K: Array, noise: Array) -> tuple[Array, float]:
     smallest_useful = np.finfo(np.float64).eps * float(K.diagonal().max())
     diagonal = np.arange(len(K))
     while True:
-        A = K.copy(order="F")
+        A = K.copy().T  # K is symmetric; its transpose is in the order that LAPACK wants
         A[diagonal, diagonal] += np.maximum(noise, floor)
         L, failed_pivot = lapack.dpotrf(A, lower=1, clean=1, overwrite_a=1)
         if not failed_pivot:

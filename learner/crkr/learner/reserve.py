@@ -47,7 +47,7 @@ class Reserve:
         """Takes note that the radii of these samples changed, and chooses again where that can matter."""
         joining = touched[r2[touched] >= self._floor]
         if len(joining):
-            self._members = np.union1d(self._members, joining)
+            self._members = np.concatenate([self._members, joining])
         if (r2[touched] >= self._tau).any() or not self._numbers.isdisjoint(touched.tolist()):
             if len(self._members) > self._limit:
                 self._draw(r2)
@@ -60,7 +60,8 @@ class Reserve:
         self._limit = _TOO_MANY * max(len(self._members), self._budget)
 
     def _choose(self, r2: Array) -> None:
-        self._members = self._members[r2[self._members] >= self._floor]
+        members = np.sort(self._members[r2[self._members] >= self._floor])
+        self._members = members[np.diff(members, prepend=-1) > 0]  # each once: some may have joined again
         if len(self._members) < self._budget and self._floor > 0:
             self._draw(r2)
         radii = r2[self._members]

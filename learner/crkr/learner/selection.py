@@ -9,7 +9,7 @@ import numpy as np
 
 from crkr.learner.anms_batch import Indices
 from crkr.learner.growable import Growable
-from crkr.learner.kernel import standardise
+from crkr.learner.kernel import Kernel
 from crkr.learner.selector import Radii, Selector, SelectorFactory
 from crkr.learner.store import SampleStore
 from crkr.protocol import Array, TaskSpec
@@ -46,7 +46,7 @@ class Selection:
     """
 
     def __init__(self, spec: TaskSpec, store: SampleStore, factory: SelectorFactory) -> None:
-        self._centre, self._lengthscales = spec.centres, spec.lengthscales
+        self._metric = Kernel(spec.centres, spec.lengthscales, 1.0)
         self._store = store
         self._selector: Selector = factory(len(spec.state), spec.budget)
         self._rows = Growable(np.int32)
@@ -106,7 +106,7 @@ class Selection:
         return RadiiCache(version, self._store.seqs[rows[~self._store.removed[rows]]], radii.squared, radii.suppressor)
 
     def _standardised(self, rows: Indices) -> Array:
-        return standardise(self._store.states[rows], self._centre, self._lengthscales)
+        return self._metric.standardise(self._store.states[rows])
 
     def _number(self, row: int) -> int | None:
         rows = self._rows.rows

@@ -9,7 +9,7 @@ import rerun.blueprint as rrb
 
 __all__ = ["arrangement"]
 
-PATHS_SHOWN = 40  # trials whose paths stay in view
+PATHS_SHOWN = 30  # trials whose paths stay in view
 
 
 def arrangement(eye: tuple[Sequence[float], Sequence[float]] | None) -> rrb.Blueprint:
@@ -19,16 +19,16 @@ def arrangement(eye: tuple[Sequence[float], Sequence[float]] | None) -> rrb.Blue
             rrb.Horizontal(
                 _scene(eye),
                 rrb.Vertical(_success(), rrb.Tabs(_cost(), _reasons(), active_tab=0), row_shares=[1, 1]),
-                column_shares=[1.15, 1],
+                column_shares=[1.3, 1],
             ),
             rrb.Horizontal(
                 rrb.Tabs(_document("status", "Status"), _log(), active_tab=0),
                 _document("outcomes", "Outcomes"),
                 _exploration(),
                 rrb.Tabs(_learner(), _latency(), active_tab=0),
-                column_shares=[1.15, 0.85, 1, 1],
+                column_shares=[1.1, 0.8, 1, 1],
             ),
-            row_shares=[1.7, 1],
+            row_shares=[1.75, 1],
         ),
         rrb.TimePanel(timeline="trial", play_state="following", state="collapsed"),
         rrb.SelectionPanel(state="hidden"),

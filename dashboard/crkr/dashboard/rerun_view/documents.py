@@ -17,8 +17,7 @@ def status_page(task: str, status: Mapping[str, Any], progress: Progress, trials
     newest = max((result for result in progress.epochs.values() if result.closed), default=None, key=lambda r: r.epoch)
     kinds = progress.kinds
     lines = [
-        f"## {_plain(task)}",
-        f"**{progress.trials}** trials, epoch **{progress.epoch}**, **{trials_per_second:.1f}** trials/s",
+        f"**{_plain(task)}**: **{progress.trials}** trials, **{trials_per_second:.1f}**/s, epoch **{progress.epoch}**",
         "",
     ]
     if newest is not None:

@@ -25,5 +25,5 @@ def eye(
     last = offset(min(count, COLUMNS) - 1, low, high)
     centre = (low + high + last) / 2
     span = float(np.linalg.norm(high - low + last))
-    target = centre + np.array([0.05, 0.0, 0.0]) * span
-    return target + 0.76 * span * np.array([0.78, -0.42, 0.46]), target
+    target = centre + np.array([0.02, -0.02, -0.02]) * span
+    return target + 0.74 * span * np.array([0.74, -0.42, 0.54]), target

@@ -1,10 +1,9 @@
-"""The robots in 3D: every training trial's paths, and one trial at a time of each worker in real time.
+"""The robots in 3D: every trial's paths, and one trial at a time of each worker in real time.
 
-Workers finish trials faster than they could be watched. The paths of all training trials are drawn, coloured by
-success; poses, and paths of other kinds, only of the newest trial when the one before has been played. Poses of all
-bodies go out as rows of one entity per worker, which names the moved frame in each row: a chunk per worker and tick
-instead of one per body. Demonstrations are played in the world of the first worker that tries: who records them often
-does nothing else.
+Workers finish trials faster than they could be watched. The paths of all trials are drawn, coloured by success; poses
+only of the newest trial when the one before has been played. Poses of all bodies go out as rows of one entity per
+worker, which names the moved frame in each row: a chunk per worker and tick instead of one per body. Demonstrations are
+played in the world of the first worker that tries: who records them often does nothing else.
 
     world/<worker>                    where its world stands, static
     world/<worker>/shapes/<body>/...  shapes, static, each in the frame "<worker>/<body>"
@@ -94,8 +93,8 @@ class Stage:
             self._draw_scene(world, telemetry.scene)
         if telemetry.trace is not None:
             world.waiting = (row, telemetry.trace)
-            if row.kind in ("trial", "failed"):
-                _keep_paths(world, row, telemetry.trace)
+            for name, path in telemetry.trace.paths.items():
+                world.paths.setdefault(name, []).append((row, path))
 
     def tick(self, now: float) -> None:
         """Draws the new paths and moves the robots to where they were at `now`, monotonic [s]."""
@@ -164,8 +163,6 @@ class Stage:
     def _play(self, world: _World, now: float) -> None:
         if world.playing is None and world.waiting is not None:
             world.playing, world.waiting, world.started, world.sent = world.waiting, None, now, 0
-            if world.playing[0].kind not in ("trial", "failed"):
-                _keep_paths(world, *world.playing)
         if world.playing is None:
             return
         row, trace = world.playing
@@ -199,11 +196,6 @@ class Stage:
                 child_frame=[f"{world.name}/{name}" for name in names] * count,
             ),
         )
-
-
-def _keep_paths(world: _World, row: Row, trace: Trace) -> None:
-    for name, path in trace.paths.items():
-        world.paths.setdefault(name, []).append((row, path))
 
 
 def _times(rows: list[Row]) -> list[rr.TimeColumn]:

@@ -23,7 +23,7 @@ test: lint ## ruff, mypy and pytest; ARGS="-k name"
 
 lint: setup ## ruff and mypy only
 	@$(BIN)/ruff check .
-	@$(BIN)/ruff format --check --quiet . || { echo "make format puts this right" >&2; exit 1; }
+	@$(BIN)/ruff format --check . || { echo "make format puts this right" >&2; exit 1; }
 	@$(BIN)/mypy $(TYPED)
 
 format: setup ## rewrite the sources in the house format

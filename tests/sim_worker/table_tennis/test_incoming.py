@@ -39,7 +39,7 @@ def test_beside_the_table_it_falls_past_it() -> None:
 
 
 def test_the_simulated_ball_stays_within_centimetres_of_the_exact_one() -> None:
-    """At the hitting plane, after the bounce: friction makes the soft contact some percent less springy, and its phase matters."""
+    """After the bounce: friction makes the soft contact some percent less springy, and its phase matters."""
     rng = np.random.default_rng(0)
     alone, free, apart = BallAlone(), FreeBall(), []
     for _ in range(20):

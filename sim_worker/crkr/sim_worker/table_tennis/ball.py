@@ -100,10 +100,10 @@ def bounce(
     """Impact of a free sphere on a plane of infinite mass, Coulomb friction, sliding or sticking to the end.
 
     Args:
-        velocity: (3,) of the centre [m/s].
-        spin: (3,) angular velocity [rad/s].
-        normal: (3,) unit normal, from the plane to the ball.
-        surface: (3,) velocity of the plane [m/s].
+        velocity: (..., 3) of the centre [m/s].
+        spin: (..., 3) angular velocity [rad/s].
+        normal: (..., 3) unit normal, from the plane to the ball.
+        surface: (..., 3) velocity of the plane [m/s].
         restitution: Normal speed after over before.
         friction: Coulomb coefficient.
         radius: [m].
@@ -112,16 +112,14 @@ def bounce(
         Velocity and spin after the impact; unchanged if the ball already leaves the plane.
     """
     relative = velocity - surface
-    approach = -float(relative @ normal)
-    if approach <= 0:
-        return velocity, spin
+    approach = np.maximum(-(relative * normal).sum(axis=-1, keepdims=True), 0.0)
     arm = -radius * normal
     slip = relative + approach * normal + np.cross(spin, arm)
-    speed = float(np.linalg.norm(slip))
+    speed = np.sqrt((slip * slip).sum(axis=-1, keepdims=True))
     # What stops the slip altogether, for a sphere that must be spun up as well as slowed down.
     stop = speed * SPIN_INERTIA / (1 + SPIN_INERTIA)
-    change = min(friction * (1 + restitution) * approach, stop)
-    tangential = -slip * (change / speed) if speed > 0 else np.zeros(3)
+    change = np.minimum(friction * (1 + restitution) * approach, stop)
+    tangential = -slip * (change / np.maximum(speed, 1e-300))
     after = velocity + (1 + restitution) * approach * normal + tangential
     return after, spin + np.cross(arm, tangential) / (SPIN_INERTIA * radius**2)
 

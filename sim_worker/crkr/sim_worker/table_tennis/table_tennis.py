@@ -43,8 +43,8 @@ class TableTennis:
     Goal (13,): joint positions [rad] and velocities [rad/s] at the hit, and the hit's time after the snapshot [s].
 
     Args:
-        options: Environment "contact", "hybrid" or "analytic"; launcher "nominal", "medium" or "wide"; preset "tuned" or
-            "paper".
+        options: Environment "contact", "hybrid" or "analytic"; launcher "nominal", "medium" or "wide"; preset "tuned"
+            or "paper".
         traces: False leaves `Outcome.trace` empty, which saves half a millisecond a trial.
 
     Raises:

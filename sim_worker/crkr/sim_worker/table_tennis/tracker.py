@@ -37,7 +37,7 @@ class Verdict:
     """What one play was worth.
 
     Attributes:
-        cost: [CrKR-ANMS, eq. 8] of the distance from the ball to where a ball touching the face's centre would be.
+        cost: [Cardoso2017, eq. 8] of the distance from the ball to where a ball touching the face's centre would be.
         paper: Hit, and the next bounce is on the table with the ball moving away from the robot.
         strict: Hit, over the net, first bounce on the opponent's half.
         reason: "returned", or why not: "miss", "backwards", "below" (left under table height), "net", "own_half",
@@ -68,7 +68,7 @@ def judge(play: Play) -> Verdict:
 
 
 def cost_of(distance: float) -> float:
-    """Saturating cost in [0, 1] of a distance [m]  [CrKR-ANMS, eq. 8]."""
+    """Saturating cost in [0, 1] of a distance [m]  [Cardoso2017, eq. 8]."""
     return float(-np.expm1(-0.5 * (distance / COST_WIDTH) ** 2))
 
 

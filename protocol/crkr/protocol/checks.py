@@ -7,17 +7,51 @@ from collections.abc import Collection, Mapping
 from typing import Any
 
 import numpy as np
+
 from crkr.protocol.codec import Array
 from crkr.protocol.errors import Invalid
 
-__all__ = ["choice", "finite_array", "flag", "integer", "number", "required", "text"]
+__all__ = ["choice", "depth", "entries", "finite_array", "flag", "integer", "number", "required", "text"]
 
 
 def required(message: Mapping[str, Any], field: str) -> Any:
     """The field's value, or `Invalid` that names it."""
+    if not isinstance(message, Mapping):
+        raise Invalid(f"a map with field {field!r} is required; got {type(message).__name__}")
     if field not in message:
         raise Invalid(f"field {field!r} is required", details={"field": field})
     return message[field]
+
+
+def entries(message: Mapping[str, Any], field: str) -> list[Any]:
+    """The required field's value, a list; or `Invalid`."""
+    value = required(message, field)
+    if not isinstance(value, list | tuple):
+        raise Invalid(f"{field} must be a list; got {type(value).__name__}", details={"field": field})
+    return list(value)
+
+
+def depth(value: object, name: str) -> int:
+    """How deep an array is nested, or `Invalid` where its rows differ in length."""
+    try:
+        return np.ndim(value)  # type: ignore[arg-type]  # whatever it is, numpy has an answer or a ValueError
+    except ValueError as error:
+        raise Invalid(f"{name} must be a regular array: {error}", details={"field": name}) from error
+
+
+def _numbers(value: object) -> Array:
+    """A float64 copy; text, truth values and complex numbers are no numbers here, None is NaN."""
+    raw = np.asarray(value)
+    if raw.dtype.kind not in "iuf":
+        given = raw.ravel().tolist() if raw.dtype.kind == "O" else [raw.dtype]
+        strange = [entry for entry in given if entry is not None and (type(entry) is bool or not _is_real(entry))]
+        if strange:
+            raise TypeError(f"{strange[0]!r:.80} is not a number")
+    return np.array(raw, dtype=np.float64)
+
+
+def _is_real(value: object) -> bool:
+    return isinstance(value, int | float | np.integer | np.floating)
 
 
 def finite_array(value: object, name: str, shape: tuple[int | None, ...], *, allow_nan: bool = False) -> Array:
@@ -27,8 +61,8 @@ def finite_array(value: object, name: str, shape: tuple[int | None, ...], *, all
         Invalid: Another shape, not numbers, or not finite.
     """
     try:
-        array = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
+        array = _numbers(value)
+    except (TypeError, ValueError, OverflowError) as error:
         raise Invalid(f"{name} must be an array of numbers: {error}", details={"field": name}) from error
     fits = array.ndim == len(shape) and all(want in (None, have) for want, have in zip(shape, array.shape, strict=True))
     if not fits:
@@ -56,12 +90,15 @@ def number(
     above: float | None = None,
 ) -> float:
     """A finite number in [low, high], and greater than `above` where given; or `Invalid`."""
-    if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
+    if isinstance(value, bool) or not _is_real(value):
         raise Invalid(f"{name} must be a number; got {type(value).__name__}", details={"field": name})
-    result = float(value)
+    try:
+        result = float(value)  # type: ignore[arg-type]  # it is a real number
+    except OverflowError:  # a whole number beyond all floats
+        result = math.inf
     if not math.isfinite(result) or not low <= result <= high or (above is not None and result <= above):
         wanted = f"above {above}" if above is not None else f"in [{low}, {high}]"
-        raise Invalid(f"{name} must be a finite number {wanted}; got {value}", details={"field": name})
+        raise Invalid(f"{name} must be a finite number {wanted}; got {value!r:.80}", details={"field": name})
     return result
 
 

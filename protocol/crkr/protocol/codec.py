@@ -9,9 +9,10 @@ from uuid import UUID
 
 import msgpack
 import numpy as np
+from numpy.typing import NDArray
+
 from crkr.protocol.errors import Invalid, Unsupported
 from crkr.protocol.keys import PROTOCOL_VERSION
-from numpy.typing import NDArray
 
 __all__ = [
     "MAX_MESSAGE_BYTES",

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, final
 from uuid import UUID
 
-from crkr.protocol.checks import flag, number, required
+from crkr.protocol.checks import entries, flag, number, required
 from crkr.protocol.codec import id_from_wire
 
 __all__ = ["Explanation", "Neighbour", "SampleExplanation"]
@@ -94,7 +94,7 @@ class Explanation:
                 number(required(entry, "cost"), "cost"),
                 number(required(entry, "distance"), "distance"),
             )
-            for entry in required(message, "neighbours")
+            for entry in entries(message, "neighbours")
         )
         sample = None
         if "sample_id" in message:

@@ -7,6 +7,7 @@ from typing import Any
 from uuid import UUID, uuid4
 
 import numpy as np
+
 from crkr.protocol.checks import finite_array
 from crkr.protocol.codec import id_from_wire
 from crkr.protocol.errors import Invalid

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from typing import Any, final
 from uuid import UUID
 
-import numpy as np
-from crkr.protocol.checks import finite_array, flag, integer, required, text
+from crkr.protocol.checks import depth, entries, finite_array, flag, integer, required, text
 from crkr.protocol.codec import MAX_STATES, Array, array_from_wire, id_from_wire
 from crkr.protocol.errors import Invalid
 
@@ -17,7 +16,7 @@ __all__ = ["PredictRequest", "Prediction", "check_states"]
 
 def check_states(value: object, dimensions: int) -> Array:
     """States as (d,) or (b, d), checked; raises `Invalid`."""
-    batch = np.ndim(value) == 2  # type: ignore[arg-type]  # anything that is no array has another ndim or fails below
+    batch = depth(value, "states") == 2
     states = finite_array(value, "states", (None, dimensions) if batch else (dimensions,))
     if batch and not 1 <= len(states) <= MAX_STATES:
         raise Invalid(f"states must be 1 to {MAX_STATES} in one message; got {len(states)}")
@@ -193,7 +192,7 @@ class Prediction:
             means=array("means"),
             sigmas=array("sigmas"),
             novelty=array("novelty"),
-            trial_ids=[id_from_wire(value, "trial_ids") for value in required(message, "trial_ids")],
+            trial_ids=[id_from_wire(value, "trial_ids") for value in entries(message, "trial_ids")],
             model_version=integer(required(message, "model_version"), "model_version"),
             active=integer(required(message, "active"), "active"),
             policy=text(required(message, "policy"), "policy", longest=32),

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, final
 
-from crkr.protocol.checks import flag, integer, number, required
+from crkr.protocol.checks import entries, flag, integer, number, required
 from crkr.protocol.codec import MAX_TRIALS
 from crkr.protocol.errors import Invalid
 from crkr.protocol.task_spec import TaskSpec
@@ -84,7 +84,7 @@ class Receipt:
         return cls(
             integer(required(message, "accepted"), "accepted"),
             integer(required(message, "duplicates"), "duplicates"),
-            tuple(integer(seq, "seqs") for seq in required(message, "seqs")),
+            tuple(integer(seq, "seqs") for seq in entries(message, "seqs")),
             integer(required(message, "model_version"), "model_version"),
         )
 

@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Final, final
 
 import numpy as np
+
 from crkr.protocol.checks import choice, integer, number, required, text
 from crkr.protocol.codec import Array
 from crkr.protocol.dimensions import GoalDimension, OutcomeEntry, StateDimension

@@ -7,7 +7,8 @@ from dataclasses import asdict, dataclass, field
 from typing import Any, Final, final
 
 import numpy as np
-from crkr.protocol.checks import finite_array, required, text
+
+from crkr.protocol.checks import entries, finite_array, required, text
 from crkr.protocol.codec import Array, array_from_wire
 from crkr.protocol.errors import Invalid
 
@@ -75,7 +76,7 @@ class Trace:
         def array(value: object, name: str, shape: tuple[int | None, ...]) -> Array:
             return finite_array(array_from_wire(value, name), name, shape)
 
-        bodies = tuple(text(name, "bodies", longest=64) for name in required(message, "bodies"))
+        bodies = tuple(text(name, "bodies", longest=64) for name in entries(message, "bodies"))
         time = array(required(message, "time"), "time", (None,))
         steps = len(time)
         return cls(
@@ -85,9 +86,16 @@ class Trace:
             array(required(message, "quaternions"), "quaternions", (steps, len(bodies), 4)),
             {
                 text(name, "paths", longest=64): array(path, f"paths.{name}", (steps, 3))
-                for name, path in message.get("paths", {}).items()
+                for name, path in _paths(message).items()
             },
         )
+
+
+def _paths(message: Mapping[str, Any]) -> Mapping[str, Any]:
+    paths = message.get("paths", {})
+    if not isinstance(paths, Mapping):
+        raise Invalid(f"paths must be a map; got {type(paths).__name__}")
+    return paths
 
 
 def geoms_to_wire(geoms: Sequence[Geom]) -> list[dict[str, Any]]:

@@ -9,6 +9,7 @@ from typing import Any, Final, final
 from uuid import UUID
 
 import numpy as np
+
 from crkr.protocol.checks import choice, finite_array, flag, integer, number, required, text
 from crkr.protocol.codec import Array, array_from_wire, id_from_wire, pack
 from crkr.protocol.errors import Invalid

@@ -42,6 +42,8 @@ def build(arguments: list[str]) -> typer.Typer:
 
 def _invoked(available: Mapping[str, EntryPoint], arguments: list[str]) -> list[EntryPoint]:
     """The entry points to load: one command, one group, or all."""
+    if arguments[:1] == ["--version"]:
+        return []
     first, second = [*arguments[:2], "", ""][:2]
     for name in (first, f"{first}.{second}"):
         if name in available:

@@ -8,7 +8,7 @@ import numpy as np
 
 from crkr.learner import RadiiCache
 from crkr.protocol import CrkrError
-from crkr.server.log import TaskLog
+from crkr.server.log import LogReader, TaskLog
 
 __all__ = ["load_radii", "save_radii"]
 
@@ -29,7 +29,7 @@ def save_radii(log: TaskLog, task: str, radii: RadiiCache) -> None:
         logger.debug("kept the radii of task %s at log position %d", task, radii.version)
 
 
-def load_radii(log: TaskLog, task: str) -> RadiiCache | None:
+def load_radii(log: LogReader, task: str) -> RadiiCache | None:
     """The radii kept last, or None."""
     kept = log.load_cache(task)
     if kept is None or len(kept[1]) % 24:

@@ -21,7 +21,7 @@ from crkr.protocol import (
 from crkr.protocol.checks import integer, required
 from crkr.server.latency import Latencies
 from crkr.server.learning import Learning
-from crkr.server.log import TaskLog
+from crkr.server.log import LogReader
 from crkr.server.request import Request
 from crkr.server.tasks import ServedTask, Tasks
 from crkr.server.workers import Workers
@@ -44,7 +44,7 @@ class Reader:
         self,
         server_id: UUID,
         tasks: Tasks,
-        log: TaskLog,
+        log: LogReader,
         learning: Learning,
         workers: Workers,
         latencies: Latencies,

@@ -10,7 +10,7 @@ from typing import Final
 
 from crkr.protocol import StorageError, TaskSpec
 from crkr.server.applying import apply_entries, batches
-from crkr.server.log import Event, LoggedTrial, TaskLog
+from crkr.server.log import Event, LoggedTrial, LogReader
 from crkr.server.radii_cache import load_radii
 from crkr.server.tasks import ServedTask
 
@@ -22,7 +22,7 @@ _BATCH: Final = 4096
 _FEW: Final = 2000  # entries that are cheaper to learn as they come than all radii are to find anew
 
 
-def restore(log: TaskLog, name: str) -> ServedTask:
+def restore(log: LogReader, name: str) -> ServedTask:
     """Replays a task.
 
     Raises:

@@ -72,8 +72,8 @@ class Server:
         self.tasks = Tasks()
         self._log = SqliteLog(settings.data)
         try:
-            for name in self._log.tasks():
-                self.tasks.add(restore(self._log, name))
+            for name in self._log.reads.tasks():
+                self.tasks.add(restore(self._log.reads, name))
             self._session = open_session(settings.listen, settings.zenoh_config)
         except BaseException:
             self._log.close()
@@ -89,7 +89,9 @@ class Server:
     def _wire(self) -> None:
         server_id = uuid4()
         predictor = Predictor(self.tasks, self._workers)
-        reader = Reader(server_id, self.tasks, self._log, self._learning, self._workers, self._latencies, self._queues)
+        reader = Reader(
+            server_id, self.tasks, self._log.reads, self._learning, self._workers, self._latencies, self._queues
+        )
         writer = Writer(self._log, self.tasks, self._workers, self._learning)
 
         def lane(name: str, verbs: str, work: Any, most: int = 1, limit: int = _QUEUE) -> dict[str, Lane[Any]]:
@@ -137,7 +139,7 @@ class Server:
         """After learning stopped: its learners are nobody's now."""
         for task in self.tasks.all():
             version = task.model.version
-            kept = self._log.load_cache(task.name)
+            kept = self._log.reads.load_cache(task.name)
             if version > _MANY and not task.fault and (kept is None or kept[0] < version):
                 radii = task.learner.radii()
                 if radii is not None:

@@ -140,7 +140,7 @@ class Writer:
 
     def _commit_change(self, task: ServedTask, change: Change, request: Job) -> None:
         _refuse_archived(task)
-        missing = self._log.missing(task.name, change.ids)
+        missing = self._log.reads.missing(task.name, change.ids)
         if missing:
             listed = ", ".join(str(one) for one in missing[:5])
             raise Invalid(

@@ -4,6 +4,17 @@ from __future__ import annotations
 
 from crkr.server.log.entries import EVENT_KINDS, Event, LoggedTrial, PendingReport, Stored
 from crkr.server.log.sqlite_log import SqliteLog
-from crkr.server.log.task_log import TaskLog
+from crkr.server.log.sqlite_reader import SqliteReader
+from crkr.server.log.task_log import LogReader, TaskLog
 
-__all__ = ["EVENT_KINDS", "Event", "LoggedTrial", "PendingReport", "SqliteLog", "Stored", "TaskLog"]
+__all__ = [
+    "EVENT_KINDS",
+    "Event",
+    "LogReader",
+    "LoggedTrial",
+    "PendingReport",
+    "SqliteLog",
+    "SqliteReader",
+    "Stored",
+    "TaskLog",
+]

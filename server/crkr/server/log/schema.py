@@ -10,7 +10,7 @@ from typing import Final
 
 from crkr.protocol import StorageError
 
-__all__ = ["FILE_NAME", "SCHEMA_VERSION", "connect", "open_database", "storage_errors"]
+__all__ = ["FILE_NAME", "SCHEMA_VERSION", "check_version", "connect", "open_database", "storage_errors"]
 
 FILE_NAME: Final = "crkr.sqlite3"
 SCHEMA_VERSION: Final = 1
@@ -79,7 +79,12 @@ def open_database(path: Path) -> sqlite3.Connection:
         return connection
 
 
-def _prepare(connection: sqlite3.Connection, path: Path) -> None:
+def check_version(connection: sqlite3.Connection, path: Path) -> bool:
+    """Whether there is a log already.
+
+    Raises:
+        StorageError: The database is another program's, or of a newer version.
+    """
     version = int(connection.execute("PRAGMA user_version").fetchone()[0])
     application = int(connection.execute("PRAGMA application_id").fetchone()[0])
     tables = int(connection.execute("SELECT count(*) FROM sqlite_master").fetchone()[0])
@@ -89,9 +94,14 @@ def _prepare(connection: sqlite3.Connection, path: Path) -> None:
         raise StorageError(
             f"the task log {path} has schema version {version}, this crkr knows {SCHEMA_VERSION}: use a newer crkr"
         )
+    return tables > 0
+
+
+def _prepare(connection: sqlite3.Connection, path: Path) -> None:
+    exists = check_version(connection, path)
     connection.execute("PRAGMA journal_mode = WAL")
     connection.execute("PRAGMA synchronous = FULL")
-    if not tables:
+    if not exists:
         connection.executescript(
             f"BEGIN IMMEDIATE; {TABLES} PRAGMA application_id = {APPLICATION_ID};"
             f"PRAGMA user_version = {SCHEMA_VERSION}; COMMIT;"

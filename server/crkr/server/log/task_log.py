@@ -10,13 +10,13 @@ from uuid import UUID
 from crkr.protocol import Conflict, TaskSpec
 from crkr.server.log.entries import Event, LoggedTrial, PendingReport, Stored
 
-__all__ = ["TaskLog"]
+__all__ = ["LogReader", "TaskLog"]
 
 
-class TaskLog(Protocol):
-    """Events of many tasks. Writes come from one thread and are durable when they return; reads from any thread.
+class LogReader(Protocol):
+    """Reads events of many tasks, from any thread.
 
-    Every method raises `StorageError` when the store cannot be written or read; nothing is half written then.
+    Every method raises `StorageError` when the store cannot be read.
     """
 
     def tasks(self) -> tuple[str, ...]:
@@ -25,18 +25,6 @@ class TaskLog(Protocol):
 
     def last(self, task: str) -> int:
         """Log position of the task's last entry."""
-        ...
-
-    def create(self, spec: TaskSpec) -> Event:
-        """Stores a new task; its create event has seq 1."""
-        ...
-
-    def append_reports(self, reports: Sequence[PendingReport]) -> list[Stored | Conflict]:
-        """Stores several reports in one transaction; a report in conflict leaves the others alone."""
-        ...
-
-    def append_event(self, task: str, kind: str, body: Mapping[str, Any]) -> Event:
-        """Stores an event and brings the trials it names up to date."""
         ...
 
     def missing(self, task: str, ids: Sequence[UUID]) -> list[UUID]:
@@ -51,16 +39,40 @@ class TaskLog(Protocol):
         """Trials past a log position as wire maps with their present costs, and where to go on (None at the end)."""
         ...
 
-    def save_cache(self, task: str, version: int, data: bytes) -> None:
-        """Keeps bytes that belong to a log position, in place of the ones before."""
-        ...
-
     def load_cache(self, task: str) -> tuple[int, bytes] | None:
         """The bytes kept last and their log position, or None where there are none or they are damaged."""
         ...
 
     def backup(self, target: Path) -> None:
-        """Copies the whole log into a new file, consistently, while it is in use."""
+        """Copies the log, as it is at this moment, into a new file; one that is there under its name is whole."""
+        ...
+
+
+class TaskLog(Protocol):
+    """Stores events of many tasks, durably before a method returns, one write at a time.
+
+    Every method raises `StorageError` when the store cannot be written; nothing is half written then.
+    """
+
+    @property
+    def reads(self) -> LogReader:
+        """The reading side."""
+        ...
+
+    def create(self, spec: TaskSpec) -> Event:
+        """Stores a new task; its create event has seq 1."""
+        ...
+
+    def append_reports(self, reports: Sequence[PendingReport]) -> list[Stored | Conflict]:
+        """Stores several reports in one transaction; a report in conflict leaves the others alone."""
+        ...
+
+    def append_event(self, task: str, kind: str, body: Mapping[str, Any]) -> Event:
+        """Stores an event and brings the trials it names up to date."""
+        ...
+
+    def save_cache(self, task: str, version: int, data: bytes) -> None:
+        """Keeps bytes that belong to a log position, in place of the ones before."""
         ...
 
     def close(self) -> None:

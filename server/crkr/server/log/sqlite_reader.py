@@ -1,0 +1,155 @@
+"""Reading the task log: from any thread, beside a server that writes, without holding it up."""
+
+from __future__ import annotations
+
+import os
+import sqlite3
+import threading
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, Final, final
+from uuid import UUID
+
+from crkr.protocol import StorageError, UnknownTask, unpack
+from crkr.server.log.entries import Event, LoggedTrial
+from crkr.server.log.rows import PAGE_COLUMNS, TRIAL_COLUMNS, body_digest, trial_of, wire_of
+from crkr.server.log.schema import check_version, connect, storage_errors
+
+__all__ = ["SqliteReader"]
+
+_FIND: Final = "SELECT 1 FROM trial WHERE task = ? AND id = ?"
+_READ_TRIALS: Final = f"SELECT {TRIAL_COLUMNS} FROM trial WHERE task = ? AND seq > ? ORDER BY seq"
+_READ_EVENTS: Final = "SELECT seq, time, kind, body, digest FROM event WHERE task = ? AND seq > ? ORDER BY seq"
+_PAGE: Final = f"SELECT {PAGE_COLUMNS} FROM trial WHERE task = ? AND seq > ? ORDER BY seq LIMIT ?"
+_LAST: Final = """SELECT max((SELECT coalesce(max(seq), 0) FROM trial WHERE task = :task),
+                            (SELECT coalesce(max(seq), 0) FROM event WHERE task = :task))"""
+_ROW_BYTES: Final = 240  # of a page entry, its vectors and info aside
+
+
+@final
+class SqliteReader:
+    """A `LogReader` of a database file; every thread gets a connection of its own, which sees whole commits only.
+
+    Raises:
+        StorageError: There is no log, it is damaged, or of a newer version.
+    """
+
+    def __init__(self, path: Path) -> None:
+        if not path.is_file():
+            raise StorageError(f"there is no task log {path}")
+        self.path = path
+        self._threads = threading.local()
+        self._open: list[sqlite3.Connection] = []
+        with storage_errors(f"open the task log {path}"):
+            check_version(self._connection(), path)
+
+    def tasks(self) -> tuple[str, ...]:
+        """Names of all tasks, oldest first."""
+        with storage_errors("list the tasks"):
+            return tuple(name for (name,) in self._connection().execute("SELECT name FROM task ORDER BY id"))
+
+    def last(self, task: str) -> int:
+        """Log position of the task's last entry."""
+        with storage_errors(f"read the log of task {task!r}"):
+            return int(self._connection().execute(_LAST, {"task": self._key(task)}).fetchone()[0])
+
+    def missing(self, task: str, ids: Sequence[UUID]) -> list[UUID]:
+        """The ids that name no stored trial."""
+        with storage_errors("look up trials"):
+            reader, key = self._connection(), self._key(task)
+            return [one for one in ids if reader.execute(_FIND, (key, one.bytes)).fetchone() is None]
+
+    def read(self, task: str, after: int = 0) -> Iterator[LoggedTrial | Event]:
+        """All entries past a log position, in order; raises `StorageError` at the first that is damaged or missing."""
+        with storage_errors(f"read the log of task {task!r}"):
+            connection, key = self._connection(), self._key(task)
+            events = iter([_event(row) for row in connection.execute(_READ_EVENTS, (key, after))])
+            event = next(events, None)
+            expected = after
+            for row in connection.execute(_READ_TRIALS, (key, after)):
+                while event is not None and event.seq < row[0]:
+                    expected = _follows(task, event.seq, expected)
+                    yield event
+                    event = next(events, None)
+                expected = _follows(task, row[0], expected)
+                yield trial_of(row)
+            while event is not None:
+                expected = _follows(task, event.seq, expected)
+                yield event
+                event = next(events, None)
+
+    def page(self, task: str, after: int, limit: int, most_bytes: int) -> tuple[list[dict[str, Any]], int | None]:
+        """Trials past a log position as wire maps with their present costs, and where to go on (None at the end)."""
+        entries: list[dict[str, Any]] = []
+        size = 0
+        with storage_errors(f"read samples of task {task!r}"):
+            for row in self._connection().execute(_PAGE, (self._key(task), after, limit + 1)):
+                size += _ROW_BYTES + sum(len(value) for value in row if isinstance(value, bytes | str))
+                if entries and (len(entries) == limit or size > most_bytes):
+                    return entries, int(entries[-1]["seq"])
+                entries.append(wire_of(row))
+        return entries, None
+
+    def load_cache(self, task: str) -> tuple[int, bytes] | None:
+        """The bytes kept last and their log position, or None where there are none or they are damaged."""
+        with storage_errors(f"read the cache of task {task!r}"):
+            row = (
+                self._connection()
+                .execute("SELECT version, data, digest FROM cache WHERE task = ?", (self._key(task),))
+                .fetchone()
+            )
+        return (int(row[0]), row[1]) if row and body_digest("cache", row[1]) == row[2] else None
+
+    def integrity(self) -> list[str]:
+        """What the database itself finds wrong with its pages and indexes; reads everything."""
+        with storage_errors("check the task log"):
+            found = [str(row[0]) for row in self._connection().execute("PRAGMA integrity_check")]
+        return [] if found == ["ok"] else found
+
+    def backup(self, target: Path) -> None:
+        """Copies the log, as it is at this moment, into a new file; one that is there under its name is whole."""
+        if target.exists():
+            raise StorageError(f"{target} exists; choose another file")
+        partial = target.with_name(target.name + ".partial")
+        try:
+            with storage_errors(f"back up to {target}"):
+                copy = sqlite3.connect(partial)
+                try:
+                    self._connection().backup(copy)
+                    copy.execute("PRAGMA journal_mode = DELETE")  # one file, complete in itself
+                finally:
+                    copy.close()
+            os.replace(partial, target)
+        finally:
+            partial.unlink(missing_ok=True)
+
+    def close(self) -> None:
+        """Closes the connections of all threads; idempotent."""
+        while self._open:
+            self._open.pop().close()
+
+    def _key(self, task: str) -> int:
+        row = self._connection().execute("SELECT id FROM task WHERE name = ?", (task,)).fetchone()
+        if row is None:
+            raise UnknownTask(f"the log holds no task {task!r}", details={"task": task})
+        return int(row[0])
+
+    def _connection(self) -> sqlite3.Connection:
+        connection: sqlite3.Connection | None = getattr(self._threads, "connection", None)
+        if connection is None:
+            connection = self._threads.connection = connect(self.path, read_only=True)
+            self._open.append(connection)
+        return connection
+
+
+def _event(row: tuple[Any, ...]) -> Event:
+    seq, now, kind, body, digest = row
+    if body_digest(kind, body) != digest:
+        raise StorageError(f"the {kind} event at log position {seq} does not match its digest; restore a backup")
+    return Event(seq, now, kind, unpack(body))
+
+
+def _follows(task: str, seq: int, before: int) -> int:
+    if seq != before + 1:
+        raise StorageError(f"the log of task {task!r} lacks position {before + 1}; restore a backup")
+    return seq

@@ -33,7 +33,7 @@ __all__ = ["Stage"]
 MAX_WORKERS: Final = 64
 PATH_RADIUS: Final = -0.6  # negative: Rerun's points on the screen, whatever the distance
 MAX_EARLY: Final = 16
-ALONE_S: Final = 3.0
+ALONE_S: Final = 15.0
 HOLD_S: Final = 0.3  # the last pose of a trial stays so long
 NO_SCENE: Final = (np.array([-1.0, -1.0, 0.0]), np.array([1.0, 1.0, 1.0]))
 

@@ -36,10 +36,10 @@ def test_frames_differ_where_arm_and_ball_moved(simulation: Simulation, motion: 
 
 
 def test_a_picture_and_a_film_can_be_saved(simulation: Simulation, motion: Motion, tmp_path: Path) -> None:
-    with Artist(simulation, 320, 180) as artist:
+    with Artist(simulation, 160, 90) as artist:
         save_picture(artist, motion, tmp_path / "trial.png")
         save_film(artist, motion, tmp_path / "trial.gif", rate=5)
-    assert imread(tmp_path / "trial.png").shape[:2] == (180, 320)
+    assert imread(tmp_path / "trial.png").shape[:2] == (90, 160)
     assert (tmp_path / "trial.gif").read_bytes().startswith(b"GIF89a")
 
 
@@ -57,7 +57,7 @@ def test_a_refused_goal_has_no_film(skill: TableTennis) -> None:
 
 
 def test_the_planners_trial_can_be_drawn_by_seed(tmp_path: Path) -> None:
-    assert render_trial(SkillOptions(launcher="medium"), 3, tmp_path / "trial.png") == "returned"
-    assert imread(tmp_path / "trial.png").shape[:2] == (720, 1280)
+    assert render_trial(SkillOptions(launcher="medium"), 3, tmp_path / "trial.png", width=160, height=90) == "returned"
+    assert imread(tmp_path / "trial.png").shape[:2] == (90, 160)
     with pytest.raises(Invalid, match="refused"):
         render_trial(SkillOptions(), 3, tmp_path / "none.png", goal=np.zeros(13))

@@ -96,7 +96,7 @@ class AnalyticBatch:
         return BatchResult(executed, cost, touched, touched & paper, touched & strict)
 
     def _feasible(self, way: Floats, speeds: Floats, hit_time: Floats) -> Flags:
-        """Whether full acceleration, cruise and full braking could do it; necessary, and sufficient if no limit binds."""
+        """Whether full acceleration, cruise and full braking could do it: necessary, and sufficient if none binds."""
         limit, fastest = ACCELERATION_LIMITS, SPEED_LIMITS
         time = hit_time[:, None]
         fine = (np.abs(speeds) <= fastest) & (np.abs(speeds) <= limit * time * (INTERVALS / HIT_INTERVAL - 1))

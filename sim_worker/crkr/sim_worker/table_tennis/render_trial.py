@@ -21,7 +21,14 @@ RATE: Final = 30  # frames a second of a film, at true speed
 
 
 def render_trial(
-    options: SkillOptions, seed: int, path: Path, *, ball: int = 0, goal: NDArray[np.float64] | None = None
+    options: SkillOptions,
+    seed: int,
+    path: Path,
+    *,
+    ball: int = 0,
+    goal: NDArray[np.float64] | None = None,
+    width: int = 1280,
+    height: int = 720,
 ) -> str:
     """Draws the trial of one ball of an evaluation and saves it.
 
@@ -31,6 +38,8 @@ def render_trial(
         path: A .png for one picture of several moments, a .mp4 or .gif for a film.
         ball: Which ball of the evaluation.
         goal: (13,) to draw; None is the planner's.
+        width: [pixels].
+        height: [pixels].
 
     Returns:
         The trial's reason, e.g. "returned".
@@ -50,7 +59,7 @@ def render_trial(
     reason = str(skill.attempt(state, goal).info["reason"])
     if motion is None:
         raise Invalid(f"nothing to draw: the goal is refused ({reason})")
-    with Artist(Simulation()) as artist:
+    with Artist(Simulation(), width, height) as artist:
         if path.suffix == ".png":
             save_picture(artist, motion, path)
         else:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterable
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self, final
@@ -43,6 +42,7 @@ class Artist:
 
     def __init__(self, simulation: Simulation, width: int = 1280, height: int = 720) -> None:
         self._simulation = simulation
+        self.size = (height, width)
         self._data: Any = mujoco.MjData(simulation.model)
         try:
             _prefer_headless()
@@ -126,17 +126,13 @@ def save_film(artist: Artist, motion: Motion, path: Path, rate: int = 30) -> Non
         raise Invalid(f"a film is a .mp4 or a .gif; got {path.name}")
     if not writers.is_available(names[path.suffix]):
         raise Unsupported(f"{path.suffix} needs {names[path.suffix]} on the path; install it or ask for a .gif")
-    figure = Figure(figsize=(12.8, 7.2), dpi=100)
+    height, width = artist.size
+    figure = Figure(figsize=(width / 100, height / 100), dpi=100)
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     axes.set_axis_off()
+    shown = axes.imshow(np.zeros((height, width, 3), dtype=np.uint8), aspect="auto")
     writer = writers[names[path.suffix]](fps=rate)
     with writer.saving(figure, str(path), dpi=100):
-        for picture in _frames(artist, motion):
-            axes.clear()
-            axes.set_axis_off()
-            axes.imshow(picture, aspect="auto")
+        for row in range(len(motion.time)):
+            shown.set_data(artist.frame(motion, row))
             writer.grab_frame()
-
-
-def _frames(artist: Artist, motion: Motion) -> Iterable[Picture]:
-    return (artist.frame(motion, row) for row in range(len(motion.time)))

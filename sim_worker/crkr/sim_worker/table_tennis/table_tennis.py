@@ -29,8 +29,11 @@ __all__ = ["ENVIRONMENTS", "TableTennis"]
 Floats = NDArray[np.float64]
 
 CRITERIA: Final = {"tuned": "strict", "paper": "paper"}  # the success that each preset learns from
-POOL: Final = 12  # balls drawn for each demonstration wanted
-CENTRAL: Final = 2.45  # demonstrations lie within this many standard deviations of the launcher's centre
+POOL: Final = 60  # balls drawn for each demonstration wanted
+# Five demonstrations lie within 1.5 standard deviations of the launcher's centre, more of them further out: too few that
+# are too far apart do not determine how goals change in between.
+CENTRAL: Final = 1.5
+OUTWARD: Final = 0.2  # power of the count
 
 _log = logging.getLogger(__name__)
 
@@ -120,7 +123,7 @@ class TableTennis:
         found: list[Demonstration] = []
         pool = [self._launcher.draw(rng) for _ in range(max(POOL * count, 1))]
         scaled = (np.array(pool) - self._launcher.centre) / self._launcher.spread
-        for index in spread_out(scaled, CENTRAL):
+        for index in spread_out(scaled, CENTRAL * (count / 5) ** OUTWARD):
             if len(found) == count:
                 break
             plan = self.plan(pool[index])

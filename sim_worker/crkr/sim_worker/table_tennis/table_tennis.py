@@ -30,7 +30,7 @@ Floats = NDArray[np.float64]
 
 CRITERIA: Final = {"tuned": "strict", "paper": "paper"}  # the success that each preset learns from
 POOL: Final = 60  # balls drawn for each demonstration wanted
-# Five demonstrations lie within 1.5 standard deviations of the launcher's centre, more of them further out: too few that
+# Five demonstrations lie within 1.5 standard deviations of the centre, more of them further out: too few that
 # are too far apart do not determine how goals change in between.
 CENTRAL: Final = 1.5
 OUTWARD: Final = 0.2  # power of the count

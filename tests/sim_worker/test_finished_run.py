@@ -99,7 +99,7 @@ def test_the_first_message_of_a_worker_has_the_scene(finished_run: Any) -> None:
     first: dict[str, dict[str, object]] = {}
     for _, message in finished_run.telemetry:
         first.setdefault(message["worker"], message)
-    assert len(first) == 4  # demonstrator, two workers, evaluator
+    assert len(first) == 3  # demonstrator and two workers
     assert all("scene" in message for message in first.values())
 
 

@@ -1,18 +1,26 @@
-"""A launcher's dealings with its evaluator: names epochs to it, keeps account, replaces it when it is lost."""
+"""A launcher's account of evaluations: gives each epoch to a worker, and to another one if that is lost."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
-from typing import Any, Final, final
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, final
 
 from crkr.sim_worker.epochs import EpochClock
-from crkr.sim_worker.fleet import Fleet, Member
-from crkr.sim_worker.worker_process import ProcessSettings, run_evaluator
+from crkr.sim_worker.fleet import Member
 
 __all__ = ["EvaluationDesk"]
 
-MOST_EVALUATORS: Final = 3
+
+@final
+@dataclass(slots=True, eq=False)
+class _Duty:
+    """An epoch that is to be judged: training trials when it was named, who does it, whether the model was asked."""
+
+    trained: int
+    member: Member | None = None
+    asked: bool = False
 
 
 @final
@@ -20,78 +28,48 @@ class EvaluationDesk:
     """Has epochs judged beside the training.
 
     Args:
-        fleet: Where the evaluator's process lives.
-        settings: What it needs to know.
         clock: Names the epochs that end.
-        say: Prints a line for people.
 
     Attributes:
         rates: Success rate by criterion of each epoch judged.
-        problem: Why no more can be judged, or None.
     """
 
-    def __init__(self, fleet: Fleet, settings: ProcessSettings, clock: EpochClock, say: Callable[[str], None]) -> None:
+    def __init__(self, clock: EpochClock) -> None:
         self.rates: dict[int, dict[str, float]] = {}
-        self.problem: str | None = None
-        self._fleet = fleet
-        self._settings = settings
         self._clock = clock
-        self._say = say
-        self._evaluator: Member | None = None
-        self._started = 0
-        self._unasked: set[int] = set()  # the model was not asked yet
-        self._unfinished: dict[int, int] = {}  # epoch -> training trials when it was named
+        self._duties: dict[int, _Duty] = {}
 
     @property
     def holds_up_training(self) -> bool:
         """Whether the first epoch's model must still be asked, before training changes it."""
-        return 0 in self._unasked
+        return 0 in self._duties and not self._duties[0].asked
 
     @property
     def unfinished(self) -> int:
         """How many epochs are still to be judged."""
-        return len(self._unfinished)
+        return len(self._duties)
 
-    def look(self, trained: int) -> None:
-        """Has every epoch judged that has ended by now."""
+    def look(self, trained: int, workers: Sequence[Member]) -> None:
+        """Gives every epoch that has ended by now to the worker with the fewest."""
         for epoch in self._clock.ended(trained):
-            self._unasked.add(epoch)
-            self._unfinished[epoch] = trained
-            self._order(epoch, trained)
+            self._duties[epoch] = _Duty(trained)
+        for epoch, duty in sorted(self._duties.items()):
+            if duty.member is None and workers:
+                load = Counter(id(other.member) for other in self._duties.values())
+                duty.member = min(workers, key=lambda worker: load[id(worker)])
+                duty.member.order("judge", epoch=epoch, trained=duty.trained)
 
-    def owns(self, member: Member) -> bool:
-        """Whether a member is the evaluator."""
-        return member is self._evaluator
-
-    def handle(self, event: dict[str, Any] | None) -> None:
-        """Takes an event of the evaluator; None is its end."""
+    def handle(self, event: dict[str, Any]) -> None:
+        """Takes an event of a worker; others than evaluations are none of its business."""
         match event:
-            case None:
-                self._replace()
-            case {"event": "judged", "epoch": epoch}:
-                self._unasked.discard(epoch)
+            case {"event": "judged", "epoch": epoch} if epoch in self._duties:
+                self._duties[epoch].asked = True
             case {"event": "evaluated", "epoch": epoch, "rates": rates}:
-                self._unfinished.pop(epoch, None)
+                self._duties.pop(epoch, None)
                 self.rates[epoch] = rates
 
-    def _order(self, epoch: int, trained: int) -> None:
-        if self._evaluator is None:
-            self._start()
-        if self._evaluator is not None:
-            self._evaluator.order("judge", epoch=epoch, trained=trained)
-
-    def _start(self) -> None:
-        self._started += 1
-        identity = self._settings.identity
-        named = replace(identity, worker=f"{identity.worker}-eval{self._started}")
-        self._evaluator = self._fleet.start("evaluator", run_evaluator, replace(self._settings, identity=named))
-
-    def _replace(self) -> None:
-        lost, self._evaluator = self._evaluator, None
-        ending = "" if lost is None else lost.ending()
-        if self._started == MOST_EVALUATORS:
-            self.problem = f"{MOST_EVALUATORS} evaluators were lost; the last one {ending}"
-            return
-        self._say(f"warning: the evaluator {ending}; another one takes over")
-        for epoch, trained in sorted(self._unfinished.items()):
-            self._order(epoch, trained)
+    def lose(self, member: Member) -> None:
+        """Takes back what a lost worker had to judge."""
+        for duty in self._duties.values():
+            if duty.member is member:
+                duty.member, duty.asked = None, False

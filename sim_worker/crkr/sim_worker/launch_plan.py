@@ -22,7 +22,7 @@ class LaunchPlan:
         options: How each process makes it.
         endpoint: Where the server is.
         zenoh_config: Transport settings, or None.
-        workers: How many training processes.
+        workers: How many processes train and judge.
         total: Training trials that the task is to hold in all; None runs until stopped.
         demonstrations: How many the task must have before training.
         evaluations: Fixed contexts to judge after each epoch; 0 judges nothing.

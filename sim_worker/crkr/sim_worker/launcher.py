@@ -1,4 +1,4 @@
-"""Runs workers and an evaluator side by side: hands out trials, and goes on when a process is lost."""
+"""Runs workers side by side: hands out trials and evaluations, and goes on when one of them is lost."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class Launcher:
         self._task = task
         self._settings = settings
         self._seeds = seeds
-        self._clock = clock
+        self._desk = EvaluationDesk(clock)
         self._say = say
         self._show = show
         self._report = LaunchReport(task.name, plan.workers)
@@ -75,36 +75,41 @@ class Launcher:
     def run(self) -> LaunchReport:
         """Trains until the total is reached and judged, a signal comes, or the last worker is lost."""
         self._started = time.monotonic()
+        self._look()
         with StopRequest() as stop, Fleet() as fleet:
-            desk = EvaluationDesk(fleet, self._settings, self._clock, self._say) if self._plan.evaluations else None
-            self._look(desk)
-            self._start_workers(fleet)
-            while not (stop or self._report.problem or (self._complete and not (desk and desk.unfinished))):
-                self._hand_out(desk)
+            if not self._finished:
+                self._start_workers(fleet)
+                self._look()
+            while not (stop or self._report.problem or self._finished):
+                self._hand_out()
                 for member, event in fleet.events(self._poll_s):
-                    self._handle(member, event, desk)
-                    self._look(desk)
+                    self._handle(member, event)
+                    self._look()
                 self._poll()
-                self._look(desk)
-                self._show(self._quota.trained, self._remark(desk))
+                self._look()
+                self._show(self._quota.trained, self._remark())
             self._report.stopped_by = stop.signal
             fleet.stop()
         return self._finished_report()
 
+    @property
+    def _finished(self) -> bool:
+        return self._complete and not self._desk.unfinished
+
     def _start_workers(self, fleet: Fleet) -> None:
         identity = self._settings.identity
-        for index, seed in enumerate([] if self._complete else self._seeds):
+        for index, seed in enumerate(self._seeds):
             own = replace(self._settings, identity=replace(identity, worker=f"{identity.worker}-{index}", seed=seed))
             self._workers.append(fleet.start(f"worker {index}", run_worker, own))
 
-    def _look(self, desk: EvaluationDesk | None) -> None:
-        if desk is not None:
-            desk.look(self._quota.trained)
-            self._report.epochs = desk.rates
-            self._report.problem = self._report.problem or desk.problem
+    def _look(self) -> None:
+        """Has epochs judged that have ended."""
+        if self._plan.evaluations:
+            self._desk.look(self._quota.trained, self._workers)
 
-    def _hand_out(self, desk: EvaluationDesk | None) -> None:
-        if self._complete or (desk is not None and desk.holds_up_training):
+    def _hand_out(self) -> None:
+        """Keeps each worker in tickets."""
+        if self._complete or self._desk.holds_up_training:
             return
         for worker in self._workers:
             granted = self._quota.grant(max(0, TICKETS_AHEAD - worker.tickets))
@@ -130,12 +135,12 @@ class Launcher:
         if self._quota.left == 0 and not under_way:
             self._quota.settle(stored)
             self._complete = self._quota.left == 0
-        if self._complete:  # leaves the processor to the evaluator
-            for worker in self._workers:
-                worker.order("stop")
-            self._workers.clear()
 
-    def _handle(self, member: Member, event: dict[str, Any] | None, desk: EvaluationDesk | None) -> None:
+    def _handle(self, member: Member, event: dict[str, Any] | None) -> None:
+        if event is None:
+            self._lose(member)
+            return
+        self._desk.handle(event)
         match event:
             case {"event": "done", "success": success}:
                 member.tickets -= 1
@@ -152,34 +157,32 @@ class Launcher:
                 self._away.discard(member.name)
                 if not self._away:
                     self._say("the server answers again")
-            case None if member in self._workers:
-                self._lose(member)
-        if desk is not None and desk.owns(member):
-            desk.handle(event)
 
     def _lose(self, worker: Member) -> None:
         self._away.discard(worker.name)
         self._workers.remove(worker)
+        self._desk.lose(worker)
         self._report.workers_lost += 1
         left = f"{len(self._workers)} of {self._plan.workers} go on" if self._workers else "none is left"
         self._say(f"warning: {worker.name} (process {worker.process.pid}) {worker.ending()}; {left}")
         if not self._workers:
             self._report.problem = "all workers are lost"
 
-    def _remark(self, desk: EvaluationDesk | None) -> str:
+    def _remark(self) -> str:
         done, seconds = self._report.trials, time.monotonic() - self._started
         parts = [f"{done / max(1e-3, seconds):.0f}/s"] if done else []
         if self._away:
             parts.append("waiting for the server")
-        if self._complete and desk is not None:
-            parts.append(f"{desk.unfinished} epochs still to be judged")
-        if self._report.epochs:
-            last = max(self._report.epochs)
-            marks = ", ".join(f"{name} {rate:.0%}" for name, rate in self._report.epochs[last].items())
+        if self._complete:
+            parts.append(f"{self._desk.unfinished} evaluations to be finished")
+        if self._desk.rates:
+            last = max(self._desk.rates)
+            marks = ", ".join(f"{name} {rate:.0%}" for name, rate in self._desk.rates[last].items())
             parts.append(f"after epoch {last}: {marks}")
         return ", ".join(parts)
 
     def _finished_report(self) -> LaunchReport:
         self._report.seconds = time.monotonic() - self._started
         self._report.trained = self._quota.trained
+        self._report.epochs = self._desk.rates
         return self._report

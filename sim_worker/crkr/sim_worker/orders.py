@@ -1,4 +1,4 @@
-"""A worker's or evaluator's side of its line: what the launcher wants, and patience while the server is away."""
+"""A worker's side of its line: what the launcher wants, and patience while the server is away."""
 
 from __future__ import annotations
 
@@ -47,7 +47,10 @@ class Orders:
         while (message := self._line.receive(timeout_s)) is not None:
             if message["order"] == "stop":
                 raise Stopped
-            self._waiting.append(message)
+            if message["order"] == "judge":  # goes first, so that the model of that moment is asked
+                self._waiting.appendleft(message)
+            else:
+                self._waiting.append(message)
             timeout_s = 0.0
 
     def next(self) -> dict[str, Any]:

@@ -61,16 +61,26 @@ class TrialLoop:
         skill: Who tries.
         identity: Names and seeds.
         orders: Says when to give up while the server is away.
+        telemetry: Where trials are shown.
         wait: Report only returns when the model includes the trial; one worker then repeats a whole run.
     """
 
-    def __init__(self, task: Task, skill: Skill, identity: Identity, orders: Orders, *, wait: bool = False) -> None:
+    def __init__(
+        self,
+        task: Task,
+        skill: Skill,
+        identity: Identity,
+        orders: Orders,
+        telemetry: Telemetry,
+        *,
+        wait: bool = False,
+    ) -> None:
         self._task = task
         self._skill = skill
         self._identity = identity
         self._orders = orders
         self._wait = wait
-        self._telemetry = Telemetry(task, skill.scene())
+        self._telemetry = telemetry
         self._seed = identity.seed
         self._rng = training_rng(identity.seed, identity.first_seq)
         self._count = 0

@@ -1,10 +1,9 @@
-"""What runs inside a worker's and the evaluator's process."""
+"""What runs inside a worker's process."""
 
 from __future__ import annotations
 
 import logging
 import sys
-from collections.abc import Callable
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -19,19 +18,22 @@ from crkr.sim_worker.orders import Orders, Stopped
 from crkr.sim_worker.parent import end_with_parent
 from crkr.sim_worker.skill import Skill, SkillOptions
 from crkr.sim_worker.skills import load_skill
+from crkr.sim_worker.telemetry import Telemetry
 from crkr.sim_worker.trial_loop import Identity, TrialLoop
 
-__all__ = ["ProcessSettings", "run_evaluator", "run_worker"]
+__all__ = ["ProcessSettings", "run_worker"]
 
 logger = logging.getLogger(__name__)
 
 FAILED: Final = 1
+FINISH_S: Final = 1.2
+"""When told to stop, a worker may complete its evaluations for this long [s]."""
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class ProcessSettings:
-    """What a worker or evaluator process needs to know; plain data, because it crosses to another process.
+    """What a worker's process needs to know; plain data, because it crosses to another process.
 
     Attributes:
         skill: Name of the skill.
@@ -59,41 +61,16 @@ class ProcessSettings:
 
 
 def run_worker(settings: ProcessSettings, connection: Connection) -> None:
-    """Body of a worker process: a trial for every ticket."""
-
-    def work(task: Task, skill: Skill, orders: Orders) -> None:
-        loop = TrialLoop(task, skill, settings.identity, orders, wait=settings.wait)
-        orders.tell("ready")
-        while True:
-            orders.next()  # a ticket
-            trial = loop.run_one()
-            orders.tell("done", kind=trial.kind, success=trial.success)
-
-    _serve(settings, connection, work)
-
-
-def run_evaluator(settings: ProcessSettings, connection: Connection) -> None:
-    """Body of the evaluator process."""
-
-    def work(task: Task, skill: Skill, orders: Orders) -> None:
-        evaluator = Evaluator(task, skill, settings.evaluations, settings.identity.worker, orders)
-        orders.tell("ready")
-        evaluator.run()
-
-    _serve(settings, connection, work)
-
-
-def _serve(settings: ProcessSettings, connection: Connection, work: Callable[[Task, Skill, Orders], None]) -> None:
-    """Sets up a process, runs its work until it is told to stop, and sees that the launcher learns why it ended."""
+    """Body of a worker process: serves its line until it is told to stop, and sees that the launcher learns its end."""
     end_with_parent()
     configure_logging(settings.log_level)
     orders = Orders(Line(connection), settings.patience_s)
     try:
         skill = load_skill(settings.skill, settings.options)
         with Client(settings.endpoint, zenoh_config=settings.zenoh_config) as client:
-            task = orders.insist(lambda: client.task(settings.task))
-            with task.announce(settings.identity.worker):
-                work(task, skill, orders)
+            task = client.task(settings.task)
+            with orders.insist(lambda: task.announce(settings.identity.worker)):
+                _work(settings, task, skill, orders)
     except Stopped:
         return
     except LineClosed:
@@ -103,6 +80,26 @@ def _serve(settings: ProcessSettings, connection: Connection, work: Callable[[Ta
         sys.exit(FAILED)
     except Exception as error:
         _explain(orders, f"{type(error).__name__}: {error}")
+        raise
+
+
+def _work(settings: ProcessSettings, task: Task, skill: Skill, orders: Orders) -> None:
+    """A trial for every ticket, and between two trials one context of an evaluation, if there is any."""
+    telemetry, identity = Telemetry(task, skill.scene()), settings.identity
+    loop = TrialLoop(task, skill, identity, orders, telemetry, wait=settings.wait)
+    evaluator = Evaluator(task, skill, settings.evaluations, identity.worker, orders, telemetry)
+    try:
+        while True:
+            if orders.waiting() or not evaluator.busy:
+                match orders.next():
+                    case {"order": "judge", "epoch": epoch, "trained": trained}:
+                        evaluator.judge(epoch, trained)
+                    case {"order": "go"}:
+                        trial = loop.run_one()
+                        orders.tell("done", success=trial.success)
+            evaluator.play_next()
+    except Stopped:
+        evaluator.finish(FINISH_S)
         raise
 
 

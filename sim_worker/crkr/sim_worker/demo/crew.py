@@ -105,8 +105,10 @@ class Crew:
             return {}
         return report if isinstance(report, dict) else {}
 
-    def stop_workers(self) -> None:
-        """Ends the workers, if they still run."""
+    def stop_workers(self, *, hurry: bool = False) -> None:
+        """Ends the workers, if they still run; in a hurry, the dashboard begins to end at the same time."""
+        if hurry and self._watch is not None:
+            self._watch.interrupt()
         if self._workers is not None:
             self._workers.interrupt()
             self._workers.end(WORKERS_END_S)

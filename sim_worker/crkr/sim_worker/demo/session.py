@@ -67,7 +67,7 @@ def run_demo(
         client = cleanup.enter_context(Client(settings.endpoint, timeout_s=CALL_S))
         follower = Follower(client, settings.task)
         problem = _run(settings, crew, follower, stop, say, show)
-        crew.stop_workers()
+        crew.stop_workers(hurry=bool(stop))
         follower.look(thoroughly=True)
         if not settings.stay or stop or problem:
             crew.stop_rest(hurry=bool(stop))

@@ -47,6 +47,17 @@ def test_evaluations_of_two_epochs_may_come_interleaved(stored: Make) -> None:
     assert [result.balls for result in progress.finished_epochs(now=2 * QUIET_S)] == [3, 3]
 
 
+def test_an_evaluation_stands_at_the_trials_that_its_model_knew(stored: Make) -> None:
+    progress = Progress()
+    for seq in range(11, 21):
+        progress.add(stored(seq), 0.0)
+    late = stored(21, "evaluation", info={"epoch": 0}, model_version=14)
+    assert progress.add(late, 0.0).trial == 10
+    assert progress.epochs[0].trial == 4
+    progress.add(stored(22, "evaluation", info={"epoch": 1}), 0.0)
+    assert progress.epochs[1].trial == 10
+
+
 def test_training_belongs_to_the_epoch_after_the_newest_evaluation(stored: Make) -> None:
     progress = Progress()
     assert progress.add(stored(1), 0.0).epoch == 0

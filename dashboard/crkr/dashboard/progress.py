@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from array import array
+from bisect import bisect_right
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -59,7 +61,7 @@ class EpochResult:
 
     Attributes:
         epoch: Which.
-        trial: Training trials when its first ball was reported.
+        trial: Training trials that the model had learned from which played the first ball.
         balls: Evaluation trials so far.
         successes: Of them, by criterion.
         last_seen: When the last one was counted, monotonic [s].
@@ -108,6 +110,7 @@ class Progress:
         self.criteria: list[str] = []
         self.epochs: dict[int, EpochResult] = {}
         self.window = Window(WINDOW)
+        self._training = array("q")  # log positions of the training trials: 8 bytes each, also after a million
 
     def add(self, stored: StoredTrial, now: float) -> Row:
         """Counts one trial.
@@ -119,7 +122,9 @@ class Progress:
         trial, info = stored.trial, stored.trial.info
         trains = trial.kind in ("trial", "failed")
         self.seq = stored.seq
-        self.trials += trains
+        if trains:
+            self.trials += 1
+            self._training.append(stored.seq)
         self.kinds[trial.kind] += 1
         worker = _known(self.workers, trial.worker or "")
         self.workers[worker] += 1
@@ -127,7 +132,7 @@ class Progress:
         reason = _known(self.reasons, _reason(trial.kind, trial.success, info))
         epoch = self._epoch(info)
         if trial.kind == "evaluation":
-            self._evaluate(epoch, outcomes, now)
+            self._evaluate(epoch, self._known_to(trial.model_version), outcomes, now)
         if not trains:
             return Row(stored.seq, self.trials, epoch, trial.kind, worker, trial.cost, trial.success, reason, outcomes)
         self.reasons[reason] += 1
@@ -163,8 +168,12 @@ class Progress:
         given = info.get("epoch")
         return given if type(given) is int and 0 <= given < 2**31 else self.epoch
 
-    def _evaluate(self, epoch: int, outcomes: Mapping[str, bool], now: float) -> None:
-        result = self.epochs.setdefault(epoch, EpochResult(epoch, self.trials))
+    def _known_to(self, model_version: int | None) -> int:
+        """Training trials up to a model's log position; all so far if nobody said which model it was."""
+        return self.trials if model_version is None else bisect_right(self._training, model_version)
+
+    def _evaluate(self, epoch: int, trial: int, outcomes: Mapping[str, bool], now: float) -> None:
+        result = self.epochs.setdefault(epoch, EpochResult(epoch, trial))
         result.balls += 1
         result.successes.update(name for name, met in outcomes.items() if met)
         result.last_seen = now

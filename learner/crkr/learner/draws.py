@@ -23,7 +23,7 @@ _VERSION_8: Final = 0x8 << 12
 _FREE_HIGH: Final = 2**64 - 1 - (0xF << 12)
 _VARIANT: Final = 0x8 << 60
 _FREE_LOW: Final = 2**62 - 1
-_new, _set = object.__new__, object.__setattr__
+_set_int, _set_safety = UUID.__dict__["int"].__set__, UUID.__dict__["is_safe"].__set__
 
 
 def uniforms(seed: int, trial_ids: Sequence[UUID], size: int) -> Array:
@@ -40,8 +40,8 @@ def draw_ids(namespace: str, count: int) -> list[UUID]:
     ids = []
     for high, low in iter_unpack(">QQ", stream):
         # Filled in rather than constructed: the constructor's checks take as long as a state's share of a prediction.
-        made = _new(UUID)
-        _set(made, "int", (high & _FREE_HIGH | _VERSION_8) << 64 | low & _FREE_LOW | _VARIANT)
-        _set(made, "is_safe", SafeUUID.unknown)
+        made = object.__new__(UUID)
+        _set_int(made, (high & _FREE_HIGH | _VERSION_8) << 64 | low & _FREE_LOW | _VARIANT)
+        _set_safety(made, SafeUUID.unknown)
         ids.append(made)
     return ids

@@ -119,7 +119,7 @@ def log_evidence(problem: FitProblem, theta: Array) -> tuple[float, Array]:
         return -np.inf, np.zeros_like(theta)
     A, _ = lapack.dpotrs(L, problem.Y, lower=1)
     value = -0.5 * float(np.vdot(problem.Y, A)) - p * (float(np.log(L.diagonal()).sum()) + 0.5 * m * np.log(2 * np.pi))
-    inverse, _ = lapack.dpotri(L, lower=1)  # the trace in eq. 7 needs every entry; predictions never do
+    inverse, _ = lapack.dpotri(L, lower=1, overwrite_c=1)  # the trace in eq. 7 needs every entry; predictions never do
     inverse *= p
     G = A @ A.T
     G -= inverse  # the lower triangle, then the upper; both with the diagonal

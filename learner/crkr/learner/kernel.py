@@ -66,9 +66,9 @@ class Kernel:
         """States (..., d) in their units to the standardised ones that the other methods take; always finite."""
         return np.minimum(np.maximum(states - self.centre, self._low), self._high) / self.lengthscales
 
-    def matrix(self, A: Array, B: Array) -> Array:
-        """Kernel matrix (a, b) between standardised states (a, d) and (b, d)."""
-        K = squared_distances(A, B)
+    def matrix(self, A: Array, B: Array, out: Array | None = None) -> Array:
+        """Kernel matrix (a, b) between standardised states (a, d) and (b, d), written into `out` where given."""
+        K = squared_distances(A, B, out)
         K *= -0.5
         np.exp(K, out=K)
         if self.signal_variance != 1.0:

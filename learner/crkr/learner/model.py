@@ -121,12 +121,14 @@ class Model:
             novelty = np.minimum(variances / priors, 1.0)
         if own.novelty_limit is not None:
             _refuse_novel(novelty, own.novelty_limit, own.task)
-        means = own.prior + own.scales * mean
+        means = np.multiply(mean, own.scales, out=mean)
+        means += own.prior
         if explore:
             u = uniforms(own.seed, ids, len(own.scales)).reshape(means.shape)
             goals = truncated_normal(means, sigmas, own.low, own.high, u)
         else:
-            goals = np.minimum(np.maximum(means, own.low), own.high)
+            goals = np.maximum(means, own.low)
+            np.minimum(goals, own.high, out=goals)
         for array in (goals, means, sigmas, novelty):
             array.setflags(write=False)
         policy = "explore" if explore else "mean"
@@ -176,7 +178,7 @@ def checked_states(states: object, dimensions: int) -> Array:
     if isinstance(states, np.ndarray) and states.shape == (dimensions,) and states.dtype == np.float64:
         copy: Array = states.copy()
         copy.setflags(write=False)
-        if math.isfinite(np.add.reduce(copy)):
+        if math.isfinite(copy.dot(copy)):
             return copy
     batch = np.ndim(states) == 2  # type: ignore[arg-type]  # anything that is no array fails in the check
     return finite_array(states, "states", (None, dimensions) if batch else (dimensions,))

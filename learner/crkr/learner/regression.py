@@ -78,18 +78,19 @@ class Regression:
         prior = self.kernel.signal_variance
         if self.kernel.linear_weight:
             prior += self.kernel.linear_weight * float(z @ z)
-        return k @ self.W, max(prior - float(v @ v), 0.0), prior
+        return k.dot(self.W), max(prior - float(v.dot(v)), 0.0), prior
 
     def over(self, Z: Array) -> tuple[Array, Array, Array]:
         """Means (b, p), variances (b,) and prior variances (b,) at standardised states (b, d)."""
         means, variances = np.empty((len(Z), self.W.shape[1])), self.kernel.variance(Z)
         prior = variances.copy()
+        rows = np.empty((min(len(Z), _BLOCK), len(self.Z)))
         for start in range(0, len(Z), _BLOCK):
-            block = slice(start, start + _BLOCK)
-            k = self.kernel.matrix(Z[block], self.Z)
+            block = slice(start, min(start + _BLOCK, len(Z)))
+            k = self.kernel.matrix(Z[block], self.Z, out=rows[: block.stop - start])
             np.matmul(k, self.W, out=means[block])
             V = blas.dtrsm(1.0, self.L, k.T, lower=1, overwrite_b=1)  # (m, b), in place of k
-            variances[block] -= np.einsum("ij,ij->j", V, V)
+            variances[block] -= np.vecdot(V.T, V.T)
         return means, np.maximum(variances, 0.0), prior
 
     def influence(self, z: Array) -> Array:

@@ -1,0 +1,341 @@
+"""What predict and report promise, held by the learner in process and by a task over a live server alike."""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Protocol
+from uuid import UUID, uuid4
+
+import numpy as np
+import pytest
+
+from crkr.client import Client, Task
+from crkr.learner import Learner
+from crkr.protocol import (
+    Conflict,
+    Explanation,
+    Invalid,
+    NoSamples,
+    NovelState,
+    Prediction,
+    Receipt,
+    TaskSpec,
+)
+
+Fields = dict[str, Any]
+
+
+class Policy(Protocol):
+    """What both have in common."""
+
+    @property
+    def active_ids(self) -> list[UUID]: ...
+    def predict(self, states: object, explore: bool = False, *, trial_ids: Any = None) -> Prediction: ...
+    @property
+    def report(self) -> Callable[..., Receipt]: ...
+    def explain(self, state: object, sample_id: UUID | None = None) -> Explanation: ...
+    def recost(self, ids: Sequence[UUID], costs: object) -> object: ...
+    def remove(self, ids: Sequence[UUID]) -> object: ...
+    def configure(self, changes: Mapping[str, Any]) -> object: ...
+
+
+class RemotePolicy:
+    """A task whose reports return when the model includes them, as a learner's do."""
+
+    def __init__(self, task: Task) -> None:
+        self.task = task
+        self.predict, self.explain = task.predict, task.explain
+        self.recost, self.remove, self.configure = task.recost, task.remove, task.configure
+
+    @property
+    def active_ids(self) -> list[UUID]:
+        ids: list[UUID] = self.task.model()["ids"]
+        return ids
+
+    def report(self, answer: Prediction | None = None, **fields: Any) -> Receipt:
+        return self.task.report(answer, **fields, wait=True)
+
+
+MakePolicy = Callable[..., Policy]
+BOUNDS = ((-1, 0, 0), (2, 1, 9))
+
+
+def specification(**settings: Any) -> TaskSpec:
+    return TaskSpec.from_dict(
+        {
+            "name": f"throw-{uuid4()}",
+            "state": [{"name": "x", "low": 0, "high": 2}, {"name": "y", "low": -1, "high": 1}],
+            "goal": [{"name": name, "low": low, "high": high} for name, low, high in zip("ghi", *BOUNDS, strict=True)],
+            "seed": 11,
+            **settings,
+        }
+    )
+
+
+@pytest.fixture(params=["learner", "task"])
+def make_policy(request: pytest.FixtureRequest, client: Client) -> MakePolicy:
+    def make(**settings: Any) -> Policy:
+        spec = specification(**settings)
+        return Learner(spec) if request.param == "learner" else RemotePolicy(client.create_task(spec))
+
+    return make
+
+
+@pytest.fixture
+def policy(make_policy: MakePolicy) -> Policy:
+    return make_policy()
+
+
+def teach(policy: Policy, count: int, seed: int = 0, **fields: Any) -> list[UUID]:
+    """`count` successes with costs that differ."""
+    rng = np.random.default_rng(seed)
+    ids = [UUID(bytes=rng.bytes(16)) for _ in range(count)]
+    policy.report(
+        state=rng.uniform([0, -1], [2, 1], (count, 2)),
+        goal=rng.uniform([-1, 0, 0], [2, 1, 9], (count, 3)),
+        cost=rng.uniform(0, 1, count),
+        **{"success": True, "id": ids, **fields},
+    )
+    return ids
+
+
+def test_nothing_is_predicted_from_nothing(policy: Policy) -> None:
+    for explore in (False, True):
+        with pytest.raises(NoSamples, match="no active sample"):
+            policy.predict([1.0, 0.0], explore)
+    with pytest.raises(NoSamples):
+        policy.explain([1.0, 0.0])
+
+
+def test_a_report_is_in_the_next_prediction(policy: Policy) -> None:
+    receipt = policy.report(state=[1.0, 0.0], goal=[0.5, 0.5, 5.0], cost=0.0, success=True, kind="demonstration")
+    assert (receipt.accepted, receipt.duplicates, receipt.seqs, receipt.model_version) == (1, 0, (2,), 2)
+    answer = policy.predict([1.0, 0.0])
+    assert (answer.model_version, answer.active, answer.policy) == (2, 1, "mean")
+    np.testing.assert_allclose(answer.goal, [0.5, 0.5, 5.0], atol=1e-3)
+    assert answer.novelty < 1e-3
+
+
+def test_one_state_and_a_batch_differ_in_the_leading_dimension_only(policy: Policy) -> None:
+    teach(policy, 20)
+    states = np.random.default_rng(1).uniform(0, 1, (7, 2))
+    ids = [uuid4() for _ in states]
+    batch = policy.predict(states, True, trial_ids=ids)
+    assert (batch.goals.shape, batch.sigmas.shape, batch.novelty.shape) == ((7, 3), (7, 3), (7,))
+    assert batch.trial_ids == ids
+    for row, state in enumerate(states):
+        one = policy.predict(state, True, trial_ids=[ids[row]])
+        assert (one.goal.shape, one.sigma.shape, one.novelty.shape) == ((3,), (3,), ())
+        assert one.trial_id == ids[row]
+        np.testing.assert_allclose(one.goal, batch.goals[row], rtol=0, atol=1e-9)
+        np.testing.assert_allclose(one.mean, batch.means[row], rtol=0, atol=1e-9)
+        np.testing.assert_allclose(one.novelty, batch.novelty[row], rtol=0, atol=1e-9)
+
+
+def test_a_batch_is_stored_as_its_trials_one_by_one(make_policy: MakePolicy) -> None:
+    together, singly = make_policy(), make_policy()
+    rng = np.random.default_rng(2)
+    states, goals, costs = rng.uniform(0, 1, (9, 2)), rng.uniform(0, 1, (9, 3)), rng.uniform(0, 1, 9)
+    success = rng.uniform(size=9) < 0.7
+    ids = [UUID(bytes=rng.bytes(16)) for _ in range(9)]
+    receipt = together.report(state=states, goal=goals, cost=costs, success=list(map(bool, success)), id=ids)
+    assert receipt.seqs == tuple(range(2, 11))
+    for n in range(9):
+        one = singly.report(state=states[n], goal=goals[n], cost=costs[n], success=bool(success[n]), id=ids[n])
+        assert one.seqs == (n + 2,)
+    assert together.active_ids == singly.active_ids
+    np.testing.assert_allclose(together.predict(states).means, singly.predict(states).means, rtol=0, atol=1e-9)
+
+
+def test_a_report_twice_is_stored_once(policy: Policy) -> None:
+    ids = teach(policy, 5)
+    before = policy.predict([1.0, 0.0])
+    rng = np.random.default_rng(0)
+    again = [UUID(bytes=rng.bytes(16)) for _ in range(5)]
+    assert again == ids
+    receipt = policy.report(
+        state=rng.uniform([0, -1], [2, 1], (5, 2)),
+        goal=rng.uniform([-1, 0, 0], [2, 1, 9], (5, 3)),
+        cost=rng.uniform(0, 1, 5),
+        success=True,
+        id=ids,
+        worker="another",
+        info={"retry": True},
+    )
+    assert (receipt.accepted, receipt.duplicates, receipt.seqs) == (0, 5, (2, 3, 4, 5, 6))
+    after = policy.predict([1.0, 0.0])
+    assert after.model_version == before.model_version
+    np.testing.assert_array_equal(after.means, before.means)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"cost": 0.25},
+        {"state": [1.0, 1e-9]},
+        {"goal": [0.5, 0.5, 5.000001]},
+        {"success": False},
+        {"kind": "evaluation"},
+    ],
+)
+def test_an_id_with_other_content_is_a_conflict_and_stores_nothing(policy: Policy, change: dict[str, Any]) -> None:
+    first: Fields = {"state": [1.0, 0.0], "goal": [0.5, 0.5, 5.0], "cost": 0.5, "success": True, "id": uuid4()}
+    policy.report(**first)
+    with pytest.raises(Conflict, match=str(first["id"])):
+        policy.report(**{**first, **change})
+    fresh = uuid4()
+    both: Fields = {"state": [[0.1, 0.1], [1.0, 0.0]], "goal": [[0.5, 0.5, 5.0]] * 2, "cost": [0.1, 0.4]}
+    with pytest.raises(Conflict):
+        policy.report(**both, success=True, id=[fresh, first["id"]])
+    assert policy.active_ids == [first["id"]]
+    assert policy.report(state=[0.1, 0.1], goal=[0.5, 0.5, 5.0], cost=0.1, success=True, id=fresh).accepted == 1
+
+
+def test_an_id_twice_in_one_report_is_the_same_trial_or_a_conflict(policy: Policy) -> None:
+    twin = uuid4()
+    fields: Fields = {"goal": [[0.5, 0.5, 5.0]] * 2, "cost": 0.5, "success": True, "id": [twin, twin]}
+    with pytest.raises(Conflict):
+        policy.report(state=[[1.0, 0.0], [1.0, 0.1]], **fields)
+    receipt = policy.report(state=[[1.0, 0.0], [1.0, 0.0]], **fields)
+    assert (receipt.accepted, receipt.duplicates, receipt.seqs) == (1, 1, (2, 2))
+
+
+def test_goals_stay_within_the_bounds_even_far_away(policy: Policy) -> None:
+    teach(policy, 30)
+    states = np.random.default_rng(3).normal(0, 1e3, (200, 2))
+    for explore in (False, True):
+        goals = policy.predict(states, explore).goals
+        assert (goals >= [-1, 0, 0]).all()
+        assert (goals <= [2, 1, 9]).all()
+
+
+def test_a_trial_id_fixes_the_draw_and_another_changes_it(policy: Policy) -> None:
+    teach(policy, 30)
+    chosen = UUID(int=5)
+    first, second = (policy.predict([1.7, -0.9], True, trial_ids=[chosen]) for _ in range(2))
+    np.testing.assert_allclose(first.goal, second.goal, rtol=0, atol=1e-9)
+    assert first.policy == "explore"
+    other = policy.predict([1.7, -0.9], True, trial_ids=[UUID(int=6)])
+    assert np.abs(other.goal - first.goal).max() > 1e-6
+    assert policy.predict([1.7, -0.9], True).trial_id != policy.predict([1.7, -0.9], True).trial_id
+
+
+def test_a_failed_or_judged_trial_is_kept_and_not_learned_from(policy: Policy) -> None:
+    [learned] = teach(policy, 1)
+    policy.report(state=[1.0, 0.0], goal=[0.5, 0.5, 5.0], cost=None, success=False, kind="failed")
+    policy.report(state=[1.0, 0.0], goal=[0.5, 0.5, 5.0], cost=0.1, success=True, kind="evaluation")
+    policy.report(state=[1.0, 0.0], goal=[0.5, 0.5, 5.0], cost=0.1, success=False)
+    assert policy.active_ids == [learned]
+    assert policy.predict([1.0, 0.0]).model_version == 5
+
+
+def test_the_budget_is_kept(make_policy: MakePolicy) -> None:
+    policy = make_policy(budget=8)
+    ids = teach(policy, 60)
+    assert len(policy.active_ids) == 8
+    assert set(policy.active_ids) <= set(ids)
+    assert policy.predict([1.0, 0.0]).active == 8
+
+
+def test_costs_are_corrected_and_trials_removed(make_policy: MakePolicy) -> None:
+    policy = make_policy(budget=2)
+    ids = [uuid4() for _ in range(3)]
+    policy.report(
+        state=[[0.0, 0.0], [1.0, 0.0], [1.05, 0.0]],
+        goal=[[0.5, 0.5, 5.0]] * 3,
+        cost=[0.1, 0.2, 0.3],
+        success=True,
+        id=ids,
+    )
+    assert policy.active_ids == ids[:2]
+    policy.recost([ids[2]], [0.15])
+    assert policy.active_ids == [ids[0], ids[2]]
+    policy.remove([ids[2]])
+    assert policy.active_ids == ids[:2]
+    assert policy.explain([0.0, 0.0], ids[2]).sample is not None
+
+
+def test_a_state_too_novel_is_refused_where_the_task_says_so(make_policy: MakePolicy) -> None:
+    policy = make_policy(novel="refuse", novelty_limit=0.5)
+    policy.report(state=[1.0, 0.0], goal=[0.5, 0.5, 5.0], cost=0.1, success=True)
+    assert policy.predict([1.0, 0.05]).novelty < 0.5
+    for explore in (False, True):
+        with pytest.raises(NovelState):
+            policy.predict([[1.0, 0.05], [2.0, 1.0]], explore)
+    policy.configure({"novel": "predict"})
+    assert policy.predict([2.0, 1.0]).novelty > 0.5
+
+
+REFUSED: list[tuple[str, dict[str, Any]]] = [
+    ("predict", {"states": [1.0]}),
+    ("predict", {"states": [1.0, float("nan")]}),
+    ("predict", {"states": [[1.0, 0.0], [1.0]]}),
+    ("predict", {"states": [1.0, 0.0], "trial_ids": [uuid4(), uuid4()]}),
+    ("report", {"goal": [2.1, 0.5, 5.0]}),
+    ("report", {"goal": [0.5, 0.5]}),
+    ("report", {"state": [1.0, float("inf")]}),
+    ("report", {"cost": 1.01}),
+    ("report", {"cost": None}),
+    ("report", {"success": None}),
+    ("report", {"kind": "wish"}),
+    ("report", {"outcome": [1.0]}),
+    ("report", {"info": {"a": object()}}),
+    ("explain", {"state": [[1.0, 0.0]]}),
+    ("explain", {"state": [1.0, 0.0], "sample_id": UUID(int=404)}),
+    ("recost", {"ids": [UUID(int=404)], "costs": [0.1]}),
+    ("remove", {"ids": [UUID(int=404)]}),
+    ("configure", {"changes": {"seed": 3}}),
+    ("configure", {"changes": {"budget": 0}}),
+]
+
+
+@pytest.mark.parametrize(("call", "arguments"), REFUSED)
+def test_what_is_not_valid_is_refused_and_changes_nothing(policy: Policy, call: str, arguments: Fields) -> None:
+    good: Fields = {"state": [1.0, 0.0], "goal": [0.5, 0.5, 5.0], "cost": 0.1, "success": True}
+    policy.report(**good)
+    with pytest.raises(Invalid):
+        getattr(policy, call)(**({**good, **arguments} if call == "report" else arguments))
+    assert policy.predict([1.0, 0.0]).model_version == 2
+
+
+@pytest.mark.parametrize(
+    "settings", [{}, {"budget": 12, "cost_map": "odds", "learn_from": "all", "regularisation": 0.3}]
+)
+def test_both_answer_alike_after_any_history(client: Client, settings: dict[str, Any]) -> None:
+    spec = specification(**settings)
+    local, remote = Learner(spec), RemotePolicy(client.create_task(spec))
+    rng = np.random.default_rng(4)
+    probes = rng.uniform(-0.5, 2.5, (25, 2))
+    draws = [UUID(bytes=rng.bytes(16)) for _ in probes]
+    ids: list[UUID] = []
+    for step in range(12):
+        fresh = [UUID(bytes=rng.bytes(16)) for _ in range(8)]
+        trials: Fields = {
+            "state": rng.uniform([0, -1], [2, 1], (8, 2)),
+            "goal": rng.uniform([-1, 0, 0], [2, 1, 9], (8, 3)),
+            "cost": rng.uniform(0, 1, 8),
+            "success": [bool(flag) for flag in rng.uniform(size=8) < 0.6],
+            "kind": "demonstration" if step == 0 else "trial",
+            "id": fresh,
+        }
+        victims = [ids[index] for index in rng.choice(len(ids), 3, replace=False)] if ids else []
+        ids += fresh
+        both: list[Policy] = [local, remote]
+        for policy in both:
+            policy.report(**trials)
+            if victims and step % 3 == 1:
+                policy.recost(victims, [0.0, 0.5, 1.0])
+            if victims and step % 3 == 2:
+                policy.remove(victims[:1])
+                ids = [known for known in ids if known != victims[0]] if policy is remote else ids
+            if step == 7:
+                policy.configure({"budget": 15, "explore_scale": 0.5, "kernel": {"linear_weight": 0.2}})
+        assert local.active_ids == remote.active_ids
+        for explore in (False, True):
+            mine, theirs = (policy.predict(probes, explore, trial_ids=draws) for policy in both)
+            assert (mine.model_version, mine.active, mine.policy) == (
+                theirs.model_version, theirs.active, theirs.policy,
+            )  # fmt: skip
+            for name in ("goals", "means", "sigmas", "novelty"):
+                np.testing.assert_allclose(getattr(mine, name), getattr(theirs, name), rtol=0, atol=1e-9)
+        near, far = (policy.explain(probes[0], ids[-1]) for policy in both)
+        assert near.sample == far.sample
+        assert [neighbour.id for neighbour in near.neighbours] == [neighbour.id for neighbour in far.neighbours]

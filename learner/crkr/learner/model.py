@@ -15,7 +15,7 @@ from crkr.learner.parameters import Parameters
 from crkr.learner.regression import Regression
 from crkr.learner.truncated_normal import truncated_normal
 from crkr.protocol import Array, Invalid, NoSamples, NovelState, Prediction, id_from_wire
-from crkr.protocol.checks import finite_array
+from crkr.protocol.checks import depth, finite_array
 from crkr.protocol.codec import array_from_wire
 
 __all__ = ["Model", "checked_states"]
@@ -180,7 +180,7 @@ def checked_states(states: object, dimensions: int) -> Array:
         copy.setflags(write=False)
         if math.isfinite(copy.dot(copy)):
             return copy
-    batch = np.ndim(states) == 2  # type: ignore[arg-type]  # anything that is no array fails in the check
+    batch = depth(states, "states") == 2
     return finite_array(states, "states", (None, dimensions) if batch else (dimensions,))
 
 

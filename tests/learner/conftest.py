@@ -1,13 +1,21 @@
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
+from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]  # it has no annotations
 
 from crkr.protocol import TaskSpec
 
 MakeSpec = Callable[..., TaskSpec]
+
+
+@pytest.fixture(scope="session", autouse=True)
+def one_blas_thread() -> Iterator[None]:
+    """Small matrices on a busy machine: a second thread only waits."""
+    with threadpool_limits(1):
+        yield
 
 
 @pytest.fixture

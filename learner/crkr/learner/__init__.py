@@ -1,7 +1,7 @@
 """Cost-regularized Kernel Regression over an active set that Adaptive Non-Maximal Suppression picks.
 
-References in brackets: [Cardoso2017] the paper on Adaptive Non-Maximal Suppression filtering for Cost-regularized
-Kernel Regression; [Amagata2023] Amagata and Hara, dynamic density-peaks clustering; [FIPS202] the SHA-3 standard.
+`Learner` is the whole; `Regression`, `Anms` and the functions are its parts, for those who want one of them. Keys in
+brackets in the docstrings are those of docs/references.md.
 """
 
 from __future__ import annotations

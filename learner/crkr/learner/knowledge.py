@@ -200,7 +200,7 @@ class Knowledge:
     def _fitted(self, previous: Model | None) -> Model:
         rows = self._rows.tolist()
         new = [row for row in rows if row not in self._names]
-        names = {**self._names, **dict(zip(new, self.store.ids(np.array(new, dtype=np.int64)), strict=True))}
-        self._names = {row: names[row] for row in rows}
+        self._names.update(zip(new, self.store.ids(np.array(new, dtype=np.int64)), strict=True))
+        self._names = {row: self._names[row] for row in rows}
         samples = (self.store.states[self._rows], self.store.goals[self._rows], self.store.costs[self._rows])
         return Model.create(self.version, self._parameters, list(self._names.values()), *samples, previous)

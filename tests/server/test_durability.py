@@ -164,73 +164,16 @@ def test_a_second_server_refuses_the_data_directory_and_the_port(start_server: S
     assert "ddress already in use" in line
 
 
-@pytest.fixture
-def database(
-    tmp_path: Path, start_server: Start, connect: Callable[[str], Ask], reach: dict[str, Any], make_trial: MakeTrial
-) -> Path:
-    """A log with 300 trials whose server has ended."""
-    server = start_server()
-    ask = connect(server.endpoint)
-    ask("rpc/create_task", reach)
-    ask("task/reach/rpc/report", {"trials": [make_trial(n) for n in range(300)]})
-    server.process.terminate()
-    assert server.process.wait(timeout=5) == 0
-    path: Path = server.data / "crkr.sqlite3"
-    assert not path.with_name(path.name + "-wal").exists()
-    return path
-
-
-def test_damaged_foreign_and_newer_logs_are_refused_and_left_as_they_are(database: Path, make_trial: MakeTrial) -> None:
-    whole = database.read_bytes()
-
-    def refused() -> str:
-        before = database.read_bytes()
-        line = refusal("--data", str(database.parent), "--listen", "tcp/127.0.0.1:0")
-        assert database.read_bytes() == before
-        return line
-
-    database.write_bytes(whole[: len(whole) // 2])
-    assert "restore a backup" in refused()
-    database.write_bytes(b"not a database at all " * 200)
-    assert "not a database" in refused()
-    place = whole.index(np.array(make_trial(150)["state"]).tobytes())
-    page = place // 4096 * 4096
-    database.write_bytes(whole[:page] + bytes(4096) + whole[page + 4096 :])
-    assert "malformed" in refused()
-    database.write_bytes(whole[:place] + b"\0" + whole[place + 1 :])
-    assert "152 does not match its digest" in refused()
-    database.write_bytes(whole)
-    with sqlite3.connect(database) as connection:
-        connection.execute("UPDATE trial SET cost = cost / 2 WHERE seq = 77")
-    connection.close()
-    assert "77" in refused()
-    database.write_bytes(whole)
-    with sqlite3.connect(database) as connection:
-        connection.execute("DELETE FROM trial WHERE seq = 100")
-    connection.close()
-    assert "lacks position 100" in refused()
-    database.write_bytes(whole)
-    with sqlite3.connect(database) as connection:
+def test_a_server_that_cannot_start_says_why_in_one_line_and_leaves(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("in the way")
+    line = refusal("--data", str(tmp_path / "file" / "data"), "--listen", "tcp/127.0.0.1:0")
+    assert "cannot be written" in line
+    with sqlite3.connect(tmp_path / "crkr.sqlite3") as connection:
         connection.execute("PRAGMA user_version = 99")
     connection.close()
-    line = refused()
+    line = refusal("--data", str(tmp_path), "--listen", "tcp/127.0.0.1:0")
     assert "99" in line
     assert "newer" in line
-
-
-def test_the_cache_may_be_dropped(database: Path, start_server: Start, connect: Callable[[str], Ask]) -> None:
-    with sqlite3.connect(database) as connection:
-        connection.execute("DROP TABLE cache")
-    connection.close()
-    assert connect(start_server().endpoint)("task/reach/rpc/status")["model_version"] == 301
-
-
-def test_a_directory_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("in the way")
-    assert "cannot be written" in refusal("--data", str(tmp_path / "file" / "data"), "--listen", "tcp/127.0.0.1:0")
-
-
-def test_an_endpoint_that_makes_no_sense_is_refused(tmp_path: Path) -> None:
     assert "nonsense" in refusal("--data", str(tmp_path / "data"), "--listen", "nonsense")
 
 

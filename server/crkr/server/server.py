@@ -167,8 +167,8 @@ class Server:
             self._session.close()  # type: ignore[no-untyped-call]  # zenoh's stub lacks the type
         except zenoh.ZError as error:
             logger.warning("the session did not close cleanly: %s", error)
-        for intake in self._intakes:
-            intake.join(0.5)
+        for follower in (*self._intakes, self._workers):
+            follower.join(0.5)
 
     def __enter__(self) -> Self:
         return self

@@ -49,6 +49,11 @@ class Workers:
         self._thread = threading.Thread(target=self._follow, args=(tokens,), name="liveliness", daemon=True)
         self._thread.start()
 
+    def join(self, patience_s: float) -> None:
+        """Waits for the end of `watch`, after the session was closed."""
+        if self._thread is not None:
+            self._thread.join(patience_s)
+
     def asked(self, task: str, worker: str, trials: Iterable[bytes]) -> None:
         """A worker was given goals to try."""
         with self._lock:

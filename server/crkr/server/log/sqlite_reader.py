@@ -6,6 +6,7 @@ import os
 import sqlite3
 import threading
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final, final
 from uuid import UUID
@@ -99,6 +100,16 @@ class SqliteReader:
                 .fetchone()
             )
         return (int(row[0]), row[1]) if row and body_digest("cache", row[1]) == row[2] else None
+
+    @contextmanager
+    def snapshot(self) -> Iterator[None]:
+        """Inside, this thread reads the log as it was at the first read, whatever a server adds meanwhile."""
+        connection = self._connection()
+        connection.execute("BEGIN")
+        try:
+            yield
+        finally:
+            connection.execute("ROLLBACK")
 
     def integrity(self) -> list[str]:
         """What the database itself finds wrong with its pages and indexes; reads everything."""

@@ -1,0 +1,73 @@
+"""`crkr replay` and `crkr backup`: look at a data directory, beside a server that uses it if need be."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+__all__ = ["backup", "replay"]
+
+DataDirectory = Annotated[Path, typer.Argument(help="Data directory of a server.", show_default=False)]
+
+
+def replay(
+    data: DataDirectory,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON value for programs.")] = False,
+) -> None:
+    """Check that a data directory's log is whole and that log and model agree: `crkr replay crkr-data`."""
+    from rich.console import Console
+
+    from crkr.protocol import StorageError
+    from crkr.server.log import SqliteReader
+    from crkr.server.log.schema import FILE_NAME
+    from crkr.server.replaying import verify
+
+    errors = Console(stderr=True, soft_wrap=True)
+    reader = SqliteReader(data / FILE_NAME)
+    try:
+        with reader.snapshot(), errors.status("checking the database") as status:
+            damage = reader.integrity()
+            verdicts = []
+            for name in reader.tasks():
+                last = reader.last(name)
+                verdicts.append(
+                    verify(reader, name, lambda at, n=name, of=last: status.update(f"{n}: {at} of {of}"))  # type: ignore[misc]  # the defaults bind the loop's values
+                )
+    finally:
+        reader.close()
+    problems = [*damage, *(f"{verdict.task}: {problem}" for verdict in verdicts for problem in verdict.problems)]
+    if as_json:
+        typer.echo(json.dumps({"agree": not problems, "problems": problems, "tasks": [asdict(v) for v in verdicts]}))
+    else:
+        for verdict in verdicts:
+            typer.echo(
+                f"{verdict.task}: {verdict.entries} log positions, {verdict.samples} samples, {verdict.active} active, "
+                f"predictions agree to {verdict.largest_difference:.1e}"
+            )
+    if problems:
+        raise StorageError(f"{data} does not agree with itself: {'; '.join(problems)}")
+    if not as_json:
+        typer.echo(f"{data}: log and model agree, {len(verdicts)} tasks")
+
+
+def backup(
+    data: DataDirectory,
+    target: Annotated[Path, typer.Argument(help="New file to write.", show_default=False)],
+) -> None:
+    """Copy a data directory's log into one file, also while a server uses it: `crkr backup crkr-data monday.sqlite3`.
+
+    To restore, put the file into an empty directory under the name crkr.sqlite3.
+    """
+    from crkr.server.log import SqliteReader
+    from crkr.server.log.schema import FILE_NAME
+
+    reader = SqliteReader(data / FILE_NAME)
+    try:
+        reader.backup(target)
+    finally:
+        reader.close()
+    typer.echo(f"{target}: {target.stat().st_size} bytes")

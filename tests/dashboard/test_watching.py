@@ -9,6 +9,7 @@ import pytest
 
 from crkr.client import Client, Task
 from crkr.dashboard import EpochResult, Feed, Progress, Row, Telemetry
+from crkr.dashboard.poller import Poller
 from crkr.dashboard.watching import follow, stopped_by_signals, wait_for_task
 from crkr.protocol import TaskSpec, Unavailable, UnknownTask
 
@@ -51,11 +52,11 @@ class Witness:
         assert now - self.started < DEADLINE_S, self.lines
 
 
-def watched(task: Task, enough: Callable[[Witness, Feed], bool]) -> tuple[Witness, Feed]:
+def watched(endpoint: str, enough: Callable[[Witness, Feed], bool]) -> tuple[Witness, Feed]:
     witness = Witness()
     feed = Feed(witness)
-    with task.subscribe() as subscription:
-        follow(task, subscription, feed, 0.02, lambda: not enough(witness, feed))
+    with Client(endpoint, timeout_s=0.5) as client:
+        follow(client, client.task("crane"), feed, 0.02, lambda: not enough(witness, feed))
     return witness, feed
 
 
@@ -71,16 +72,16 @@ def report(task: Task, count: int) -> list[int]:
     return list(receipt.seqs)
 
 
-def test_trials_from_before_are_caught_up_with_page_by_page(crane: Task) -> None:
+def test_trials_from_before_are_caught_up_with_page_by_page(server: Any, crane: Task) -> None:
     for _ in range(3):
         report(crane, 700)
-    witness, _ = watched(crane, lambda seen, _: seen.progress.trials == 2100 and bool(seen.statuses))
+    witness, _ = watched(server.endpoint, lambda seen, _: seen.progress.trials == 2100 and bool(seen.statuses))
     assert witness.progress.reasons == {"lifted": 2100}
     assert witness.statuses[0]["samples"]["trial"] == 2100
 
 
 def test_publications_arrive_as_pictures_and_odd_ones_do_no_harm(
-    crane: Task, publish: Publish, message: Message
+    server: Any, crane: Task, publish: Publish, message: Message
 ) -> None:
     seqs = report(crane, 3)
     odd = [{}, {"seq": "x"}, message(seqs[0], trace={"time": 3}), message(seqs[0], scene=[7])]
@@ -98,7 +99,7 @@ def test_publications_arrive_as_pictures_and_odd_ones_do_no_harm(
             publish("trial", message(seqs[2]))
         return sent.is_set() and feed.skipped == len(odd) and {t.seq for t in seen.pictures} == set(seqs)
 
-    witness, _ = watched(crane, send)
+    witness, _ = watched(server.endpoint, send)
     assert {telemetry.kind for telemetry in witness.pictures} == {"trial", "evaluation"}
     assert all(telemetry.trace is not None for telemetry in witness.pictures)
 
@@ -119,11 +120,24 @@ def test_a_restarted_server_is_waited_for_and_gone_on_with(
                 report(other.task("crane"), 3)
         return seen.progress.trials == 5 and any("answers again" in line for _, line in seen.lines)
 
-    with Client(first.endpoint, timeout_s=0.2) as client:
-        task = client.create_task(spec)
-        report(task, 2)
-        witness, _ = watched(task, restart)
+    with Client(first.endpoint) as client:
+        report(client.create_task(spec), 2)
+    witness, _ = watched(first.endpoint, restart)
     assert [warning for warning, line in witness.lines if "server" in line] == [True, False]
+
+
+def test_a_question_to_a_silent_server_does_not_delay_the_end(server: Any, crane: Task) -> None:
+    report(crane, 1)
+    server.process.send_signal(signal.SIGSTOP)
+    try:
+        with Client(server.endpoint, timeout_s=30.0) as client:
+            began = time.monotonic()
+            with Poller(client.task("crane"), client.close):
+                pass  # its first question is on its way
+            assert time.monotonic() - began < 3.0
+        assert not any(thread.name == "crkr-poller" for thread in threading.enumerate())
+    finally:
+        server.process.send_signal(signal.SIGCONT)
 
 
 def test_a_missing_server_is_waited_for_and_then_named(free_port: int) -> None:

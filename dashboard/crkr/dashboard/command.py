@@ -98,8 +98,7 @@ class _Session:
         task = wait_for_task(self.client, self.task, self.patience_s, self.stop, _note)
         if task is None:
             return feed
-        with task.subscribe() as subscription:
-            follow(task, subscription, feed, tick_s, lambda: goes_on() and not self.stop.is_set())
+        follow(self.client, task, feed, tick_s, lambda: goes_on() and not self.stop.is_set())
         return feed
 
 

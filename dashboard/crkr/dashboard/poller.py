@@ -5,7 +5,7 @@ from __future__ import annotations
 import queue
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Final, final
 
@@ -42,11 +42,13 @@ class Poller:
     """Pages through the log from its beginning and then keeps up with it; use as a context manager.
 
     Args:
-        task: What to watch; a client of its own, so that a slow answer holds up nothing else.
+        task: What to watch.
+        interrupt: Ends a question that is being asked; called at the end if one is.
     """
 
-    def __init__(self, task: Task) -> None:
+    def __init__(self, task: Task, interrupt: Callable[[], object]) -> None:
         self._task = task
+        self._interrupt = interrupt
         self._after = 0
         self._stop = threading.Event()
         self._news: queue.Queue[News] = queue.Queue(maxsize=8)
@@ -58,7 +60,10 @@ class Poller:
 
     def __exit__(self, *_: object) -> None:
         self._stop.set()
-        self._thread.join(timeout=1.0)
+        self._thread.join(timeout=0.2)
+        if self._thread.is_alive():
+            self._interrupt()
+            self._thread.join(timeout=1.0)
 
     def take(self) -> list[News]:
         """What came since the last call; never waits."""

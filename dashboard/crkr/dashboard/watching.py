@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import Final
 
-from crkr.client import Client, Subscription, Task
+from crkr.client import Client, Task
 from crkr.dashboard.feed import Feed
 from crkr.dashboard.poller import Poller
 from crkr.protocol import Unavailable, UnknownTask
@@ -71,9 +71,12 @@ def wait_for_task(
     return None
 
 
-def follow(task: Task, subscription: Subscription, feed: Feed, tick_s: float, goes_on: Callable[[], bool]) -> None:
-    """Passes on news and publications; the feed steps every `tick_s` while `goes_on`."""
-    with Poller(task) as poller:
+def follow(client: Client, task: Task, feed: Feed, tick_s: float, goes_on: Callable[[], bool]) -> None:
+    """Passes on news and publications, and lets the feed step every `tick_s`, while `goes_on`.
+
+    At the end it closes the client if that does not answer.
+    """
+    with task.subscribe() as subscription, Poller(task, client.close) as poller:
         while goes_on():
             deadline = time.monotonic() + tick_s
             for _ in range(MAX_BURST):

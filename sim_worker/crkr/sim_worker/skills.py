@@ -11,7 +11,7 @@ from typing import Any, Final
 from crkr.protocol import Invalid
 from crkr.sim_worker.skill import Skill, SkillOptions
 
-__all__ = ["GROUP", "installed_skills", "load_skill"]
+__all__ = ["GROUP", "check_skill", "installed_skills", "load_skill"]
 
 GROUP: Final = "crkr.skills"
 
@@ -19,6 +19,18 @@ GROUP: Final = "crkr.skills"
 def installed_skills() -> tuple[str, ...]:
     """Names that installed packages offer in the entry point group `crkr.skills`, sorted."""
     return tuple(sorted(entry_points(group=GROUP).names))
+
+
+def check_skill(name: str) -> str:
+    """Returns `name` if it is installed or of the form "package.module:factory"; loads nothing.
+
+    Raises:
+        Invalid: Neither.
+    """
+    if ":" not in name and name not in installed_skills():
+        listed = ", ".join(installed_skills()) or "none"
+        raise Invalid(f"no skill {name!r}; installed: {listed}; one of your own is given as package.module:factory")
+    return name
 
 
 def load_skill(name: str, options: SkillOptions) -> Skill:
@@ -38,11 +50,8 @@ def load_skill(name: str, options: SkillOptions) -> Skill:
 
 
 def _from_entry_point(name: str) -> Any:
-    found = entry_points(group=GROUP, name=name)
-    if not found:
-        listed = ", ".join(installed_skills()) or "none"
-        raise Invalid(f"no skill {name!r}; installed: {listed}; one of your own is given as package.module:factory")
-    return next(iter(found)).load()
+    check_skill(name)
+    return next(iter(entry_points(group=GROUP, name=name))).load()
 
 
 def _from_module(name: str) -> Any:

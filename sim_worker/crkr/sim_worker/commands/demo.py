@@ -36,9 +36,10 @@ def demo(
 ) -> None:
     """Watch a robot learn table tennis, from five demonstrations, on this machine.
 
-    Starts a server, workers and a dashboard as processes of their own, judges the policy on 50 fixed balls after every
-    50 trials, and ends with a summary, a learning curve and a recording. Ctrl-C ends all of them (status 130); the same
-    command takes the run up again.
+    Starts a server, workers and a dashboard as processes of their own,
+    judges the policy on 50 fixed balls after every 50 trials, and ends with
+    a summary, a learning curve and a recording. Ctrl-C ends all of them
+    (status 130); the same command takes the run up again.
 
     Example: crkr demo --trials 1500 --seed 3
     """
@@ -46,9 +47,10 @@ def demo(
     from crkr.sim_worker.demo.session import run_demo
     from crkr.sim_worker.demo.settings import DemoSettings
     from crkr.sim_worker.progress import Progress
+    from crkr.sim_worker.skills import check_skill
 
     settings = DemoSettings(
-        skill=skill,
+        skill=check_skill(skill),
         task=skill if ":" not in skill else skill.split(":")[0].split(".")[-1].replace("_", "-").lower(),
         trials=trials,
         workers=workers,
@@ -65,7 +67,7 @@ def demo(
         progress.__exit__()
         if json:
             print_json(result.summary)
-        else:
+        elif result.summary["samples"]:
             print_summary(stdout, result)
         if stay and not result.status:
             stderr.print("server and viewer stay until you press Enter")

@@ -38,8 +38,9 @@ def evaluate(
 ) -> None:
     """Judge a task's policy on fresh contexts, without exploration.
 
-    The contexts are never those of the fixed evaluation set. Rates come with Wilson's 95 % intervals, beside the
-    skill's own planner and the rate before learning.
+    The contexts are never those of the fixed evaluation set. Rates come with
+    Wilson's 95 % intervals, beside the skill's own planner and the rate
+    before learning.
 
     Example: crkr evaluate table-tennis --balls 1000 --seed 7
     """

@@ -21,9 +21,10 @@ def oracle(
     jobs: Annotated[int, typer.Option(min=1, max=256, help="Processes that plan.")] = 2,
     json: Json = False,
 ) -> None:
-    """Play fresh contexts by the skill's analytic planner: the reference for what is possible, not a bound.
+    """Play fresh contexts by the skill's own planner.
 
-    The contexts are those of `crkr evaluate` with the same seed. Needs no server.
+    It is the reference for what is possible, not a bound. The contexts are
+    those of `crkr evaluate` with the same seed. Needs no server.
 
     Example: crkr oracle --launcher wide --balls 200 --seed 7
     """

@@ -56,8 +56,10 @@ def workers(
 ) -> None:
     """Let simulated robots learn a skill.
 
-    Creates the skill's task, or joins it, records the demonstrations it lacks, and runs trials in as many processes as
-    asked. Ctrl-C ends them all with a summary (status 130; 143 for SIGTERM); a run is taken up where it was left.
+    Creates the skill's task, or joins it, records the demonstrations it
+    lacks, and runs trials in as many processes as asked. Ctrl-C ends them
+    all with a summary (status 130; 143 for SIGTERM); a run is taken up
+    where it was left.
 
     Example: crkr workers table-tennis -n 4 --trials 1500
     """

@@ -29,8 +29,8 @@ def _rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     balls = summary["epochs"][-1]["balls"] if summary["epochs"] else 0
     yield "success before", _marks(before, balls)
     yield "success after", _marks(after, balls)
-    rate = f"{summary['trials_per_second']:.0f}/s" if summary["trials_per_second"] else "nothing was left to do"
-    yield "training trials", f"{summary['trials']} after {summary['demonstrations']} demonstrations, {rate}"
+    rate = f", {summary['trials_per_second']:.0f}/s" if summary["trials_per_second"] else ""
+    yield "training trials", f"{summary['trials']} after {summary['demonstrations']} demonstrations{rate}"
     yield "samples", f"{summary['samples']} stored, {summary['active']} active"
     lost = f", {summary['workers_lost']} lost" if summary["workers_lost"] else ""
     yield "workers", f"{summary['workers']}{lost}"

@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Final, final
 
 from crkr.client import Client
@@ -130,8 +131,12 @@ def _result(
         "problem": problem,
         "wall_seconds": time.monotonic() - started,
         "data": str(settings.data),
-        "recording": str(settings.recording) if settings.recording.exists() else None,
+        "recording": str(settings.recording) if _has_content(settings.recording) else None,
         "figure": str(settings.figure) if drawn else None,
         "logs": str(settings.logs),
     }
     return DemoResult(summary, 1 if problem else stop.status, problem, crew.viewer)
+
+
+def _has_content(path: Path) -> bool:
+    return path.exists() and path.stat().st_size > 0

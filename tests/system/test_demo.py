@@ -1,0 +1,233 @@
+"""`crkr demo`, as a new user starts it: real processes, an empty folder, and what may go wrong."""
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+SKILLS = Path(__file__).parents[1] / "sim_worker"
+PATIENCE_S = 60.0
+QUICK = ("--skill", "reaching:make", "--no-dashboard")
+
+
+@dataclass(frozen=True, slots=True)
+class Demo:
+    """A demo that runs."""
+
+    process: subprocess.Popen[str]
+    log: Path
+
+    def finish(self) -> tuple[int, dict[str, Any], str]:
+        """Exit status, its JSON object (empty if it printed none) and its standard error."""
+        output, _ = self.process.communicate(timeout=PATIENCE_S)
+        return self.process.returncode, json.loads(output or "{}"), self.log.read_text()
+
+    def result(self) -> dict[str, Any]:
+        status, result, log = self.finish()
+        assert status == 0, log
+        return result
+
+    def wait_for(self, text: str) -> None:
+        wait_until(lambda: text in self.log.read_text() or self.process.poll() is not None, self.log)
+        assert text in self.log.read_text()
+
+
+def wait_until(look: Callable[[], Any], log: Path) -> Any:
+    deadline, pause = time.monotonic() + PATIENCE_S, threading.Event()
+    while not (found := look()):
+        if time.monotonic() > deadline:
+            pytest.fail(f"waited in vain; the log says:\n{log.read_text()}")
+        pause.wait(0.05)
+    return found
+
+
+def descendants(pid: int) -> list[int]:
+    try:
+        children = [int(word) for word in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+    except FileNotFoundError:
+        return []
+    return [each for child in children for each in [child, *descendants(child)]]
+
+
+def words(pid: int) -> str:
+    """Command line of a process that runs; empty for one that is gone or waits to be collected."""
+    try:
+        return Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").decode()
+    except (FileNotFoundError, ProcessLookupError):
+        return ""
+
+
+def named(demo: Demo, text: str) -> list[int]:
+    return [pid for pid in descendants(demo.process.pid) if text in words(pid)]
+
+
+@pytest.fixture
+def start_demo(tmp_path: Path) -> Iterator[Callable[..., Demo]]:
+    """Starts demos in an empty folder; what still runs at the end of the test is ended."""
+    count = iter(range(100))
+    with ExitStack() as stack:
+
+        def start(*options: str, path: tuple[Path, ...] = ()) -> Demo:
+            log = tmp_path / f"demo-{next(count)}.log"
+            environment = {
+                **os.environ,
+                "PYTHONPATH": os.pathsep.join(map(str, (SKILLS, *path))),
+                "OPENBLAS_NUM_THREADS": "1",
+            }
+            process = stack.enter_context(
+                subprocess.Popen(
+                    [sys.executable, "-m", "crkr.client", "demo", "--json", *options],
+                    cwd=tmp_path,
+                    env=environment,
+                    stdin=subprocess.DEVNULL,
+                    stdout=subprocess.PIPE,
+                    stderr=stack.enter_context(log.open("wb")),
+                    text=True,
+                )
+            )
+            stack.callback(process.kill)
+            return Demo(process, log)
+
+        yield start
+
+
+@pytest.fixture
+def without_rerun(tmp_path: Path) -> Path:
+    """A folder whose `rerun` behaves like a package that is not installed."""
+    package = tmp_path / "stubs" / "rerun"
+    package.mkdir(parents=True)
+    (package / "__init__.py").write_text("raise ModuleNotFoundError('No module named rerun', name='rerun')\n")
+    return package.parent
+
+
+def test_a_short_demo_of_table_tennis_learns_and_leaves_what_it_says(
+    start_demo: Callable[..., Demo], without_rerun: Path, tmp_path: Path
+) -> None:
+    result = start_demo("--trials", "60", "--no-dashboard", path=(without_rerun,)).result()
+    assert result["trials"] == 60
+    assert result["demonstrations"] == 5
+    assert result["samples"] == 5 + 60 + 2 * 50
+    assert [(epoch["epoch"], epoch["balls"]) for epoch in result["epochs"]] == [(0, 50), (1, 50)]
+    for rates in (result["success_before"], result["success_after"], *result["epochs"]):
+        assert 0.0 <= rates["strict"] <= rates["paper"] <= 1.0
+    assert result["success_before"]["paper"] > 0.2  # five demonstrations are worth something
+    assert result["trials_per_second"] > 0.0
+    assert 0.0 < result["wall_seconds"] < PATIENCE_S
+    assert 5 <= result["active"] <= 65
+    assert result["recording"] is None
+    assert Path(result["figure"]).read_bytes().startswith(b"\x89PNG")
+    assert Path(result["data"]) == tmp_path / "crkr-demo"
+    assert (result["workers_lost"], result["seed"], result["resumed"]) == (0, 0, False)
+
+
+def test_a_demo_on_the_same_data_is_resumed(start_demo: Callable[..., Demo]) -> None:
+    first = start_demo(*QUICK, "--trials", "60").result()
+    demo = start_demo(*QUICK, "--trials", "110")
+    second = demo.result()
+    assert "resuming: 60 training trials" in demo.log.read_text()
+    assert second["resumed"]
+    assert second["trials"] == 110
+    assert second["demonstrations"] == 5
+    assert second["epochs"][:2] == first["epochs"]
+    assert [epoch["epoch"] for epoch in second["epochs"]] == [0, 1, 2]
+
+
+def test_ctrl_c_leaves_a_summary_and_a_log_that_goes_on_and_no_process(start_demo: Callable[..., Demo]) -> None:
+    demo = start_demo(*QUICK, "--trials", "100000")
+    demo.wait_for("exact")
+    processes = descendants(demo.process.pid)
+    sent = time.monotonic()
+    demo.process.send_signal(signal.SIGINT)
+    status, result, _ = demo.finish()
+    assert time.monotonic() - sent < 8.0  # five seconds for the processes, then the figure is drawn
+    assert status == 130
+    assert result["stopped_by"] == "SIGINT"
+    assert result["trials"] > 0
+    assert not [pid for pid in processes if words(pid)]
+    again = start_demo(*QUICK, "--trials", "10").result()
+    assert again["trials"] == result["trials"]
+    assert {epoch["balls"] for epoch in again["epochs"]} == {50}
+
+
+def test_nothing_outlives_a_killed_demo(start_demo: Callable[..., Demo]) -> None:
+    demo = start_demo(*QUICK, "--trials", "100000")
+    demo.wait_for("exact")
+    processes = descendants(demo.process.pid)
+    assert len(processes) >= 4
+    demo.process.kill()
+    wait_until(lambda: not [pid for pid in processes if words(pid)], demo.log)
+
+
+def test_a_demo_goes_on_without_a_killed_worker_and_says_so(start_demo: Callable[..., Demo]) -> None:
+    demo = start_demo(*QUICK, "--trials", "1500")
+    wait_until(lambda: len(named(demo, "spawn_main")) == 2, demo.log)
+    demo.wait_for("samples")
+    os.kill(named(demo, "spawn_main")[0], signal.SIGKILL)
+    result = demo.result()
+    assert "was killed by SIGKILL; 1 of 2 go on" in demo.log.read_text()
+    assert result["workers_lost"] == 1
+    assert result["trials"] == 1500
+
+
+def test_a_demo_whose_server_dies_ends_everything_with_one_line(start_demo: Callable[..., Demo]) -> None:
+    demo = start_demo(*QUICK, "--trials", "100000")
+    demo.wait_for("exact")
+    processes = descendants(demo.process.pid)
+    os.kill(named(demo, " server ")[0], signal.SIGKILL)
+    status, result, log = demo.finish()
+    assert status == 1
+    assert [line for line in log.splitlines() if line.startswith("error: ")] == [f"error: {result['problem']}"]
+    assert "the server ended with status -9" in result["problem"]
+    assert not [pid for pid in processes if words(pid)]
+
+
+def test_a_demo_goes_on_without_a_dashboard_that_fails(start_demo: Callable[..., Demo], without_rerun: Path) -> None:
+    demo = start_demo("--skill", "reaching:make", "--trials", "20", path=(without_rerun,))
+    result = demo.result()
+    assert "warning: the dashboard is gone (crkr watch needs the extra 'dashboard'" in demo.log.read_text()
+    assert result["recording"] is None
+    assert result["trials"] == 20
+
+
+def test_a_demo_with_its_dashboard_says_where_to_look_and_records(start_demo: Callable[..., Demo]) -> None:
+    demo = start_demo("--skill", "reaching:make", "--trials", "60")
+    result = demo.result()
+    assert "viewer: http://127.0.0.1:" in demo.log.read_text()
+    assert Path(result["recording"]).read_bytes().startswith(b"RRF")
+
+
+def test_a_taken_port_is_one_line(start_demo: Callable[..., Demo], free_port: int) -> None:
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", free_port))
+        other.listen()
+        status, _, log = start_demo(*QUICK, "--port", str(free_port)).finish()
+    assert status == 1
+    assert log.splitlines()[-1].startswith("error: the server did not start: ")
+    assert str(free_port) in log.splitlines()[-1]
+
+
+def test_a_folder_that_cannot_be_made_is_one_line(start_demo: Callable[..., Demo], tmp_path: Path) -> None:
+    (tmp_path / "taken").write_text("a file")
+    status, _, log = start_demo(*QUICK, "--data", "taken").finish()
+    assert status == 1
+    assert log.splitlines()[-1].startswith("error: ")
+    assert "taken" in log.splitlines()[-1]
+
+
+def test_an_unknown_skill_is_one_line(start_demo: Callable[..., Demo]) -> None:
+    status, _, log = start_demo("--skill", "tabel-tennis").finish()
+    assert status == 1
+    assert log.splitlines() == [
+        "error: no skill 'tabel-tennis'; installed: table-tennis; one of your own is given as package.module:factory"
+    ]

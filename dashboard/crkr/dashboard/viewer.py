@@ -43,7 +43,7 @@ def stream_address(host: str, port: int) -> str:
 def page_address(host: str, web_port: int, port: int) -> str:
     """What to open in a browser."""
     stream = quote(stream_address(host, port), safe="")
-    return f"http://{host}:{web_port}/?url={stream}&hide_welcome_screen=1&persist=0"
+    return f"http://{host}:{web_port}/?url={stream}&theme=dark&hide_welcome_screen=1&persist=0"
 
 
 def require_display() -> None:

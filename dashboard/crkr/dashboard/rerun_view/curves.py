@@ -11,7 +11,7 @@ import rerun as rr
 
 from crkr.dashboard.facts import latency_ms
 from crkr.dashboard.progress import WINDOW, EpochResult, Progress, Row
-from crkr.dashboard.rerun_view.colours import CRITERIA, FAILURE, LINES, NEUTRAL, SUCCESS, shade
+from crkr.dashboard.rerun_view.colours import CRITERIA, FAILURE, LINES, MEAN, NEUTRAL, SUCCESS, shade
 from crkr.dashboard.rerun_view.recording import Recording
 from crkr.dashboard.telemetry import Telemetry
 
@@ -45,7 +45,7 @@ class Curves:
                 met = "success" if row.success else "failure"
                 self._point(("cost", met), row, row.cost, SUCCESS if row.success else FAILURE, met)
             if row.mean_cost is not None:
-                self._line(("cost", "mean"), row, row.mean_cost, 0xFFFFFFFF, "mean of 50")
+                self._line(("cost", "mean"), row, row.mean_cost, MEAN, "mean of 50")
             for index, (name, rate) in enumerate(row.rates.items()):
                 colour = shade(CRITERIA[index % len(CRITERIA)], 0.45)
                 self._line(("training", name), row, rate, colour, f"{name}, exploring", 1.0)

@@ -34,6 +34,7 @@ class DueFit:
     """A fit that nobody asked for: `refit_every` trials have come. Its answers go to the log of the process."""
 
     verb = "refit"
+    size = 0
 
     def __init__(self, task: str) -> None:
         self.task = task

@@ -112,7 +112,7 @@ class Intake:
 
     def _wait(self, request: Request) -> None:
         if len(self._waiting) >= _MOST_PREDICTS:
-            request.fail(busy(request.verb, _MOST_PREDICTS))
+            request.fail(busy(request.verb))
         else:
             self._waiting.append(request)
 

@@ -16,6 +16,8 @@ __all__ = ["Lane", "shutting_down"]
 logger = logging.getLogger(__name__)
 
 _RETRY_MS: Final = 50
+_MOST_BYTES: Final = 64 * 2**20  # that may wait in a lane
+_BATCH_BYTES: Final = 2 * 2**20  # after which a batch is not made longer
 _Job = TypeVar("_Job", bound=Job)
 
 
@@ -39,6 +41,7 @@ class Lane(Generic[_Job]):
         self._limits, self._work, self._most = dict(limits), work, most
         self._queue: deque[_Job] = deque()
         self._waiting: Counter[str] = Counter()
+        self._bytes = 0
         self._changed = threading.Condition()
         self._closing = False
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
@@ -51,13 +54,14 @@ class Lane(Generic[_Job]):
         """Queues a request, or refuses it at once."""
         limit = self._limits[request.verb]
         with self._changed:
-            full = self._waiting[request.verb] >= limit
+            full = self._waiting[request.verb] >= limit or (self._queue and self._bytes + request.size > _MOST_BYTES)
             if not full and not self._closing:
                 self._waiting[request.verb] += 1
+                self._bytes += request.size
                 self._queue.append(request)
                 self._changed.notify()
                 return
-        request.fail(busy(request.verb, limit) if full else shutting_down())
+        request.fail(busy(request.verb) if full else shutting_down())
 
     def depths(self) -> dict[str, Any]:
         """Verb -> how many wait and how many may."""
@@ -91,12 +95,16 @@ class Lane(Generic[_Job]):
         with self._changed:
             while not self._queue and not self._closing:
                 self._changed.wait()
-            batch = [self._queue.popleft() for _ in range(min(self._most, len(self._queue)))]
-            for request in batch:
-                self._waiting[request.verb] -= 1
+            batch: list[_Job] = []
+            size = 0
+            while self._queue and len(batch) < self._most and size <= _BATCH_BYTES:
+                batch.append(self._queue.popleft())
+                size += batch[-1].size
+                self._waiting[batch[-1].verb] -= 1
+            self._bytes -= size
         return batch
 
 
-def busy(verb: str, limit: int) -> Busy:
+def busy(verb: str) -> Busy:
     """What is answered when a queue is full."""
-    return Busy(f"{limit} requests of {verb!r} are waiting already; ask again later", retry_ms=_RETRY_MS)
+    return Busy(f"too many requests of {verb!r} are waiting already; ask again later", retry_ms=_RETRY_MS)

@@ -79,13 +79,14 @@ class Learning:
             self._backlog += _size(entries)
             self._changed.notify()
 
-    def close(self, patience_s: float) -> None:
-        """Stops after the step at hand; what is left is in the log and will be replayed."""
+    def close(self, patience_s: float) -> bool:
+        """Stops after the step at hand; what is left is in the log and will be replayed. False: it goes on too long."""
         with self._changed:
             self._closing = True
             self._changed.notify()
         if self._thread.is_alive():
             self._thread.join(patience_s)
+        return not self._thread.is_alive()
 
     def _run(self) -> None:
         while group := self._take():

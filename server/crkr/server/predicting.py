@@ -22,6 +22,7 @@ _Question = tuple[Request, dict[str, Any], bytes]  # request, its message, the b
 
 _VERSION: Final = 6  # byte of a UUID
 _VARIANT: Final = 8
+_LONGEST: Final = 128  # name of a worker
 
 
 @final
@@ -40,7 +41,8 @@ class Predictor:
                 message = request.message()
                 state = state_bytes(message, task.dimensions)
                 explore = message.get("explore", False)
-                if state is None or type(explore) is not bool:
+                worker = message.get("worker") or ""
+                if state is None or type(explore) is not bool or type(worker) is not str or len(worker) > _LONGEST:
                     self._answer_alone(request, task, message)
                 else:
                     together[request.task, explore].append((request, message, state))
@@ -67,8 +69,7 @@ class Predictor:
         rows = packed_rows(answer, ids, (time.perf_counter_ns() - started) // 1000)
         for (request, message, _), identity, row in zip(questions, ids, rows, strict=True):
             request.reply_packed(row)
-            worker = message.get("worker")
-            if explore and type(worker) is str:
+            if explore and (worker := message.get("worker")):
                 self._workers.asked(task.name, worker, (identity,))
 
     def _answer_alone(self, request: Request, task: ServedTask, message: dict[str, Any]) -> None:

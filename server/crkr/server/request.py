@@ -26,6 +26,7 @@ class Job(Protocol):
 
     held: bool
     answered: bool
+    size: int
 
     @property
     def verb(self) -> str:

@@ -12,7 +12,7 @@ from uuid import uuid4
 
 import zenoh
 
-from crkr.protocol import live_server_key, rpc_key, task_key
+from crkr.protocol import StorageError, live_server_key, rpc_key, task_key
 from crkr.protocol.keys import admin_key
 from crkr.server.fitting import DueFit, Fitting
 from crkr.server.intake import Intake
@@ -160,15 +160,20 @@ class Server:
         self._fitting.stop()
         for lane in self._lanes:
             lane.close(max(0.05, deadline - time.monotonic()))
-        self._learning.close(max(0.05, deadline - time.monotonic()))
-        self._keep_radii()
-        self._log.close()
+        learned = self._learning.close(max(0.05, deadline - time.monotonic()))
+        try:
+            if learned:
+                self._keep_radii()
+            self._log.close()
+        except StorageError as error:  # what was acknowledged is in the write-ahead log, and stays
+            logger.warning("the task log was not closed cleanly: %s", error.message)
         try:
             self._session.close()  # type: ignore[no-untyped-call]  # zenoh's stub lacks the type
         except zenoh.ZError as error:
             logger.warning("the session did not close cleanly: %s", error)
-        for follower in (*self._intakes, self._workers):
-            follower.join(0.5)
+        for intake in self._intakes:
+            intake.join(0.5)
+        self._workers.join(0.5)
 
     def __enter__(self) -> Self:
         return self

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import zenoh
 
-from crkr.protocol import CrkrError, Invalid, Unavailable
+from crkr.protocol import MAX_MESSAGE_BYTES, CrkrError, Invalid, Unavailable
 
 __all__ = ["DEFAULT_LISTEN", "open_session"]
 
@@ -23,8 +23,11 @@ _ALWAYS: Final[dict[str, Any]] = {
     "scouting/delay": 0,
     "transport/shared_memory/enabled": False,
 }
-# What a configuration file may set otherwise. A silent partition is noticed after one lease [ms].
-_DEFAULTS: Final[dict[str, Any]] = {"transport/link/tx/lease": 2000}
+# What a configuration file sets itself, if there is one. A silent partition is noticed after one lease [ms].
+_DEFAULTS: Final[dict[str, Any]] = {
+    "transport/link/tx/lease": 2000,
+    "transport/link/rx/max_message_size": 4 * MAX_MESSAGE_BYTES,  # up to here it is refused by a typed error
+}
 
 _SOURCE_PLACE: Final = re.compile(r" at \S+\.rs:\d+\.?\]?")
 

@@ -90,6 +90,7 @@ def test_a_prediction_draws_once_even_if_it_is_asked_twice(task: Task) -> None:
     np.testing.assert_allclose(first.goals, second.goals, rtol=0, atol=1e-9)
     third = task.predict([[1.0, 0.5], [3.0, 0.1]], explore=True)
     assert not set(third.trial_ids) & set(first.trial_ids)
+    assert {identifier.version for identifier in third.trial_ids} == {4}
 
 
 def test_all_samples_are_paged_in_order(task: Task) -> None:

@@ -16,11 +16,10 @@ __all__ = ["choice", "depth", "entries", "finite_array", "flag", "integer", "num
 
 def required(message: Mapping[str, Any], field: str) -> Any:
     """The field's value, or `Invalid` that names it."""
-    if not isinstance(message, Mapping):
-        raise Invalid(f"a map with field {field!r} is required; got {type(message).__name__}")
-    if field not in message:
-        raise Invalid(f"field {field!r} is required", details={"field": field})
-    return message[field]
+    if isinstance(message, Mapping) and field in message:
+        return message[field]
+    got = "" if isinstance(message, Mapping) else f" in a map; got {type(message).__name__}"
+    raise Invalid(f"field {field!r} is required{got}", details={"field": field})
 
 
 def entries(message: Mapping[str, Any], field: str) -> list[Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
@@ -34,7 +35,7 @@ MAX_MESSAGE_BYTES: Final = 8 * 1024 * 1024
 MAX_STATES: Final = 4096
 MAX_TRIALS: Final = 1024
 _MEDIA: Final = "application/msgpack"
-_DTYPES: Final = ("<f8", "<f4", "<i8")
+_DTYPES: Final = {name: np.dtype(name) for name in ("<f8", "<f4", "<i8")}
 _ENCODING: Final = re.compile(rf"{_MEDIA};crkr\.[a-z_]+\.v(\d+)")
 
 
@@ -109,22 +110,27 @@ def array_to_wire(array: NDArray[Any]) -> dict[str, Any]:
 
 def _from_map(value: Mapping[str, Any], name: str) -> NDArray[Any]:
     shape, dtype, data = value.get("shape"), value.get("dtype"), value.get("data")
-    if dtype not in _DTYPES:
+    known = _DTYPES.get(dtype) if isinstance(dtype, str) else None
+    if known is None:
         raise Invalid(f"{name}.dtype must be one of {', '.join(_DTYPES)}; got {dtype!r}")
-    if (
-        not isinstance(shape, list)
-        or len(shape) > 4
-        or not all(type(size) is int and 0 <= size <= MAX_MESSAGE_BYTES for size in shape)
-    ):
+    if not isinstance(shape, list) or len(shape) > 4 or not _are_sizes(shape):
         raise Invalid(f"{name}.shape must be a list of at most 4 sizes; got {shape!r:.80}")
-    expected = int(dtype[2]) * int(np.prod(shape, dtype=object))
+    expected = known.itemsize * math.prod(shape)
     if not isinstance(data, bytes) or len(data) != expected:
         got = f"{len(data)} bytes" if isinstance(data, bytes) else type(data).__name__
         raise Invalid(f"{name}.data must be {expected} bytes for shape {shape} of {dtype}; got {got}")
-    return np.frombuffer(data, dtype=dtype).reshape(shape)
+    flat = np.frombuffer(data, known)
+    return flat if len(shape) == 1 else flat.reshape(shape)
 
 
-def _from_list(value: Sequence[Any], name: str) -> NDArray[Any]:
+def _are_sizes(shape: list[Any]) -> bool:
+    for size in shape:  # noqa: SIM110 - a generator costs as much as the rest, and every array comes by here
+        if type(size) is not int or not 0 <= size <= MAX_MESSAGE_BYTES:
+            return False
+    return True
+
+
+def _from_list(value: Sequence[Any], name: str) -> Array:
     def numbers(items: Sequence[Any], depth: int) -> list[Any]:
         if depth > 2:
             raise Invalid(f"{name} is nested more than 2 deep")
@@ -149,15 +155,13 @@ def array_from_wire(value: object, name: str) -> Array:
     Raises:
         Invalid: Neither form, or sizes and bytes that disagree.
     """
-    if isinstance(value, Mapping):
-        array = _from_map(value, name)
-    elif isinstance(value, list | tuple):
-        array = _from_list(value, name)
-    elif isinstance(value, int | float) and not isinstance(value, bool):
-        array = np.array(value, dtype=np.float64)
-    else:
-        raise Invalid(f"{name} must be an array map or a list of numbers; got {type(value).__name__}")
-    return np.array(array, dtype=np.float64)
+    if isinstance(value, dict):
+        return _from_map(value, name).astype(np.float64)
+    if isinstance(value, list | tuple):
+        return _from_list(value, name)
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        return np.array(value, dtype=np.float64)
+    raise Invalid(f"{name} must be an array map or a list of numbers; got {type(value).__name__}")
 
 
 def id_from_wire(value: object, name: str = "id") -> UUID:

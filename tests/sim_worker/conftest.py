@@ -134,6 +134,7 @@ def start_command(tmp_path: Path) -> Iterator[StartCommand]:
 class FinishedRun:
     """What a run with one launcher left on a server that still answers."""
 
+    endpoint: str
     report: dict[str, Any]
     log: str
     task: Task
@@ -158,7 +159,7 @@ def finished_run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[FinishedR
             telemetry = []
             while (message := subscription.receive(0.5)) is not None:
                 telemetry.append(message)
-        yield FinishedRun(report, command.log.read_text(), task, telemetry)
+        yield FinishedRun(endpoint, report, command.log.read_text(), task, telemetry)
 
 
 def end(process: subprocess.Popen[str]) -> None:

@@ -5,9 +5,11 @@ from __future__ import annotations
 import time
 from typing import Final, final
 
-from rich.console import Console
+from rich.console import Console, Group, RenderableType
+from rich.live import Live
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
 from rich.progress import Progress as Bar
+from rich.text import Text
 
 __all__ = ["Progress"]
 
@@ -30,31 +32,26 @@ class Progress:
         self._title = title
         self._total = total
         self._unit = unit
-        self._bar = Bar(
-            TextColumn("[bold]{task.description}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TimeElapsedColumn(),
-            TextColumn("{task.fields[text]}"),
-            console=console,
-            disable=not console.is_terminal,
-            transient=True,
-        )
-        self._task = self._bar.add_task(title, total=total, text="")
+        self._bar = Bar(TextColumn("[bold]{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+        self._task = self._bar.add_task(title, total=total)
+        self._text = Text(style="dim")
+        self._live = Live(console=console, get_renderable=self._picture, transient=True)
         self._due = 0.0
         self._last = ""
 
     def __enter__(self) -> Progress:
-        self._bar.start()
+        if self._console.is_terminal:
+            self._live.start()
         self._due = time.monotonic() + EVERY_S
         return self
 
     def __exit__(self, *exception: object) -> None:
-        self._bar.stop()
+        self._live.stop()
 
     def show(self, done: int, text: str = "", *, now: bool = False) -> None:
         """Says that `done` are done; `now` prints a plain line even if the last was just printed."""
-        self._bar.update(self._task, completed=done, text=text)
+        self._bar.update(self._task, completed=done)
+        self._text.plain = text
         if self._console.is_terminal or not (now or time.monotonic() >= self._due):
             return
         self._due = time.monotonic() + EVERY_S
@@ -66,4 +63,7 @@ class Progress:
 
     def say(self, line: str) -> None:
         """Prints a line of its own above the bar."""
-        self._bar.console.print(line, highlight=False, markup=False, soft_wrap=True)
+        self._console.print(line, highlight=False, markup=False, soft_wrap=True)
+
+    def _picture(self) -> RenderableType:
+        return Group(self._bar.get_renderable(), self._text)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+import signal
+import sys
+from typing import Annotated, Final
 
 import typer
 
@@ -10,6 +12,8 @@ from crkr.client.console import configure_logging, print_json, stderr
 from crkr.client.options import Connect, Json, LogLevel, ZenohConfig
 
 __all__ = ["workers"]
+
+TERMINATED: Final = 128 + signal.SIGTERM
 
 Skill = Annotated[str, typer.Argument(help="An installed skill, or your own as package.module:factory.")]
 Workers = Annotated[int, typer.Option("-n", "--workers", min=1, max=256, help="Training processes.")]
@@ -71,6 +75,7 @@ def workers(
     from crkr.sim_worker.skill import SkillOptions
 
     configure_logging(log_level)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(TERMINATED))  # as process 1 of a container it has no default
     options = SkillOptions(environment=environment, launcher=launcher, preset=preset, name=task, seed=seed or 0)
     with Client(connect, zenoh_config=zenoh_config) as client:
         endpoint = client.endpoint

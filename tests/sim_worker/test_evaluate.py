@@ -1,0 +1,78 @@
+"""`crkr evaluate` and `crkr oracle` against what they should find."""
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import binomtest
+
+from crkr.client import Client
+from crkr.sim_worker.randomness import fresh_rng
+
+Start = Callable[..., Any]
+BALLS = 60
+
+
+def evaluate(start_command: Start, endpoint: str, *words: str) -> Any:
+    options = ["--skill", "reaching:make", "--balls", str(BALLS), "--seed", "4", "--connect", endpoint, "--json"]
+    return start_command("evaluate", "reaching", *options, *words)
+
+
+def distances(task: Any) -> np.ndarray[Any, Any]:
+    """How far the policy's goals are from the right ones in the contexts of seed 4, worked out here."""
+    states = np.array([fresh_rng(4, ball).uniform(-1.0, 1.0, 2) for ball in range(BALLS)])
+    turn = math.radians(30.0)
+    rotation = np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])
+    found: np.ndarray[Any, Any] = np.linalg.norm(task.predict(states).goals - states @ rotation.T, axis=1)
+    return found
+
+
+def test_rates_and_intervals_are_those_of_the_policy(start_command: Start, finished_run: Any) -> None:
+    result = evaluate(start_command, finished_run.endpoint).result()
+    miss = distances(finished_run.task)
+    for name, reach in (("near", 0.35), ("exact", 0.0875)):
+        successes = int((miss < reach).sum())
+        expected = binomtest(successes, BALLS).proportion_ci(0.95, "wilson")
+        assert result[name] == pytest.approx(successes / BALLS)
+        assert result["ci95"][name] == pytest.approx([expected.low, expected.high])
+    assert sum(result["reasons"].values()) == BALLS
+    assert (result["balls"], result["seed"], result["recorded"]) == (BALLS, 4, 0)
+
+
+def test_the_planner_and_the_rate_before_learning_stand_beside(start_command: Start, finished_run: Any) -> None:
+    result = evaluate(start_command, finished_run.endpoint, "--jobs", "1").result()
+    assert result["oracle"] == {"near": 1.0, "exact": 1.0}
+    before = finished_run.report["epochs"][0]
+    assert result["before_learning"] == {"near": before["near"], "exact": before["exact"], "balls": 10}
+
+
+def test_nothing_is_stored_unless_asked_for(start_command: Start, server: Any) -> None:
+    options = ["--connect", server.endpoint, "--evaluations", "0", "--trials", "5"]
+    assert start_command("workers", "reaching:make", *options).finish()[0] == 0
+    with Client(server.endpoint) as client:
+        before = client.task("reaching").status()["samples"]
+        evaluate(start_command, server.endpoint, "--no-oracle").result()
+        assert client.task("reaching").status()["samples"] == before
+        assert evaluate(start_command, server.endpoint, "--no-oracle", "--record").result()["recorded"] == BALLS
+        assert client.task("reaching").status()["samples"]["evaluation"] == BALLS
+
+
+def test_a_skill_of_another_size_is_refused(start_command: Start, finished_run: Any) -> None:
+    options = ["--skill", "table-tennis", "--connect", finished_run.endpoint]
+    status, _, log = start_command("evaluate", "reaching", *options).finish()
+    assert status == 1
+    assert "the skill maps R^6 to R^13, but task 'reaching' maps R^2 to R^2" in log.splitlines()[-1]
+
+
+def test_an_unknown_task_is_one_line(start_command: Start, finished_run: Any) -> None:
+    options = ["--skill", "reaching:make", "--connect", finished_run.endpoint]
+    status, _, log = start_command("evaluate", "other", *options).finish()
+    assert status == 1
+    assert log.splitlines()[-1].startswith("error: no task 'other'")
+
+
+def test_the_oracle_plays_the_skills_own_planner(start_command: Start) -> None:
+    result = start_command("oracle", "--skill", "reaching:make", "--balls", "25", "--json").result()
+    assert (result["near"], result["exact"], result["balls"]) == (1.0, 1.0, 25)

@@ -140,9 +140,10 @@ class Learner:
             Invalid: A value that is not allowed.
             Conflict: An id was reported before with other content.
         """
+        ids = id
         if id is None and answer is None:
             count = len(state) if np.ndim(state) == 2 else 1  # type: ignore[arg-type]  # checked by make_trials
-            id = draw_ids(f"crkr/{self.spec.name}/report/{self.version}", count)  # noqa: A001
+            ids = draw_ids(f"crkr/{self.spec.name}/report/{self.version}", count)
         trials = make_trials(
             self.spec,
             answer,
@@ -151,7 +152,7 @@ class Learner:
             cost=cost,
             success=success,
             kind=kind,
-            id=id,
+            id=ids,
             outcome=outcome,
             worker=worker,
             model_version=model_version,

@@ -1,0 +1,125 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+from uuid import uuid4
+
+import numpy as np
+import pytest
+
+from crkr.learner import Learner
+from crkr.protocol import (
+    TaskSpec,
+    Trial,
+    make_trials,
+)
+
+MakeSpec = Callable[..., TaskSpec]
+Teach = Callable[..., Learner]
+Look = Callable[[Learner], tuple[Any, ...]]
+
+
+def events(learner: Learner, rng: np.random.Generator, trials: list[Trial]) -> list[tuple[str, Any]]:
+    """A log of every kind of event, made by using a learner."""
+    log: list[tuple[str, Any]] = []
+    for start in range(0, len(trials), 10):
+        group = trials[start : start + 10]
+        seqs = list(range(learner.version + 1, learner.version + 1 + len(group)))
+        learner.apply_trials(seqs, group)
+        log.append(("trials", (seqs, group)))
+        ids = [trial.id for trial in group[:2]]
+        step = start // 10
+        if step % 3 == 0:
+            log.append(("recost", (learner.version + 1, ids, rng.uniform(size=2).tolist())))
+            learner.apply_recost(*log[-1][1])
+        elif step % 3 == 1:
+            log.append(("remove", (learner.version + 1, ids)))
+            learner.apply_remove(*log[-1][1])
+        if step == 4:
+            log.append(("configure", (learner.version + 1, {"budget": 25, "kernel": {"linear_weight": 0.1}})))
+            learner.apply_configure(*log[-1][1])
+        if step == 7:
+            log.append(("configure", (learner.version + 1, {"learn_from": "all", "regularisation": 0.5})))
+            learner.apply_configure(*log[-1][1])
+        if step == 5:
+            found = learner.refit()
+            assert found.accepted
+            log.append(("fit", (learner.version, found.lengthscales, found.signal_variance)))
+    return log
+
+
+@pytest.mark.parametrize("selector", ["anms", "full", "freeze"])
+@pytest.mark.parametrize("way", ["one by one", "grouped", "bulk", "bulk, then one by one"])
+def test_replaying_the_events_gives_the_same_learner(make_spec: MakeSpec, selector: str, way: str) -> None:
+    rng = np.random.default_rng(11)
+    spec = make_spec(3, 2, budget=30, selector=selector)
+    trials = list(
+        make_trials(
+            spec,
+            state=rng.uniform(-2, 2, (200, 3)),
+            goal=rng.uniform(-1, 1, (200, 2)),
+            cost=rng.integers(0, 8, 200) / 8,
+            success=list(rng.uniform(size=200) < 0.7),
+        )
+    )
+    first = Learner(spec)
+    log = events(first, rng, trials)
+    second = Learner(spec)
+
+    def apply(entries: list[tuple[str, Any]]) -> None:
+        for kind, arguments in entries:
+            if kind == "trials" and way == "one by one":
+                for seq, trial in zip(*arguments, strict=True):
+                    second.apply_trials([seq], [trial])
+            else:
+                getattr(second, f"apply_{kind}")(*arguments)
+
+    if way.startswith("bulk"):
+        middle = len(log) if way == "bulk" else len(log) // 2
+        with second.bulk():
+            apply(log[:middle])
+        apply(log[middle:])
+    else:
+        apply(log)
+    assert second.version == first.version
+    assert second.active_ids == first.active_ids
+    assert second.counts == first.counts
+    queries, ids = rng.uniform(-3, 3, (50, 3)), [uuid4() for _ in range(50)]
+    for explore in (False, True):
+        ours, theirs = (learner.predict(queries, explore, ids) for learner in (first, second))
+        for name in ("goals", "means", "sigmas", "novelty"):
+            np.testing.assert_allclose(getattr(ours, name), getattr(theirs, name), rtol=1e-9, atol=1e-9)
+
+
+def test_radii_kept_from_an_earlier_life_give_the_same_learner(make_spec: MakeSpec) -> None:
+    rng = np.random.default_rng(2)
+    spec = make_spec(budget=12)
+    trials = make_trials(
+        spec, state=rng.uniform(-2, 2, (100, 2)), goal=np.zeros((100, 2)), cost=rng.uniform(size=100), success=True
+    )
+    first = Learner(spec)
+    first.apply_trials(range(2, 102), trials)
+    first.apply_remove(102, [trials[3].id, trials[50].id])
+    cache = first.radii()
+    second = Learner(spec)
+    with second.bulk(cache):
+        second.apply_trials(range(2, 102), trials)
+        second.apply_remove(102, [trials[3].id, trials[50].id])
+    more = make_trials(spec, state=[0.3, 0.3], goal=[0.0, 0.0], cost=0.01, success=True)
+    for learner in (first, second):
+        learner.apply_trials([103], more)
+    assert second.active_ids == first.active_ids
+    ours, theirs = first.radii(), second.radii()
+    assert ours is not None
+    assert theirs is not None
+    np.testing.assert_array_equal(ours.squared, theirs.squared)
+    np.testing.assert_array_equal(ours.seqs, theirs.seqs)
+
+
+def test_the_same_calls_give_the_same_bits(make_spec: MakeSpec, taught: Teach, fingerprint: Look) -> None:
+    first, second = (taught(make_spec(3, 4, budget=20, seed=5)) for _ in range(2))
+    assert fingerprint(first) == fingerprint(second)
+    states = np.random.default_rng(0).uniform(-2, 2, (7, 3))
+    ours, theirs = first.predict(states, explore=True), second.predict(states, explore=True)
+    assert ours.trial_ids == theirs.trial_ids
+    assert ours.goals.tobytes() == theirs.goals.tobytes()

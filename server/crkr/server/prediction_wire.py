@@ -8,13 +8,17 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final
 
-import msgpack
-
-from crkr.protocol import Array, Prediction
+from crkr.protocol import Array, Prediction, pack
 
 __all__ = ["packed_rows", "state_bytes"]
 
-_ID_HEAD: Final = msgpack.packb("trial_ids") + msgpack.packb([bytes(16)])[:-16]
+
+def _entry(name: str, value: object) -> bytes:
+    """One entry of a map, without the map."""
+    return pack({name: value})[1:]
+
+
+_ID_HEAD: Final = _entry("trial_ids", [bytes(16)])[:-16]
 
 
 def state_bytes(message: Mapping[str, Any], dimensions: int) -> bytes | None:
@@ -35,7 +39,7 @@ def packed_rows(answer: Prediction, ids: Sequence[bytes], compute_us: int) -> It
         compute_us: Time of the model [us], for all of them.
     """
     scalars = {"model_version": answer.model_version, "active": answer.active, "policy": answer.policy}
-    tail = b"".join(msgpack.packb(part) for item in {**scalars, "compute_us": compute_us}.items() for part in item)
+    tail = pack({**scalars, "compute_us": compute_us})[1:]
     columns = [_column(name, getattr(answer, name), len(ids)) for name in ("goals", "means", "sigmas", "novelty")]
     modelled = answer.predicted_outcome is not None
     after = ("predicted_outcome", "predicted_outcome_sd") if modelled else ()
@@ -57,5 +61,5 @@ def _column(name: str, array: Array, count: int) -> tuple[bytes, bytes, int]:
     width = len(data) // count
     scalar = array.ndim == 0 or (array.ndim == 1 and width == 8 and name == "novelty")
     shape = [] if scalar else [width // 8]
-    wire = msgpack.packb({"shape": shape, "dtype": "<f8", "data": bytes(width)})
-    return msgpack.packb(name) + wire[: len(wire) - width], data, width
+    entry = _entry(name, {"shape": shape, "dtype": "<f8", "data": bytes(width)})
+    return entry[: len(entry) - width], data, width

@@ -18,7 +18,7 @@ __all__ = ["server"]
 
 logger = logging.getLogger(__name__)
 
-_SWITCH_S: Final = 0.0005  # a prediction waits at most this long for a thread that computes in Python
+_SWITCH_S: Final = 0.0001  # a prediction waits about this long for a thread that computes in Python
 _GARBAGE: Final = 10_000  # new objects between collections; almost nothing here is cyclic
 _EXIT_PATIENCE_S: Final = 1.9  # then the process leaves as it is: everything acknowledged is committed anyway
 

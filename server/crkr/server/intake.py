@@ -24,7 +24,7 @@ __all__ = ["Intake"]
 logger = logging.getLogger(__name__)
 
 _CHANNEL: Final = 65536  # queries, between Zenoh and the intake thread
-_ROUND: Final = 1024  # queries taken off before predictions are answered again
+_ROUND: Final = 64  # queries taken off before predictions are answered again
 _BATCH: Final = 64  # predictions answered together
 _MOST_PREDICTS: Final = 1024  # may wait; more are refused
 _SMALL: Final = 4096  # bytes; a larger predict has many states and goes to a lane of its own

@@ -106,7 +106,7 @@ def leaves(kind: type[CrkrError]) -> set[type[CrkrError]]:
 
 
 def test_every_error_class_has_its_code_and_comes_back_as_itself() -> None:
-    kinds = leaves(CrkrError)
+    kinds = {kind for kind in leaves(CrkrError) if kind.__module__ == CrkrError.__module__}
     assert {kind.code for kind in kinds} == CODES | {Unavailable.code}
     for kind in kinds - {Unavailable}:
         error = error_from_wire(error_to_wire(kind("what happened", retry_ms=20, details={"field": "x"})))

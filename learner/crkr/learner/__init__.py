@@ -11,8 +11,7 @@ from crkr.learner.anms_batch import radii, radii_kdtree, top
 from crkr.learner.cost import saturated_cost
 from crkr.learner.draws import draw_ids, uniforms
 from crkr.learner.evidence import FitProblem, FitResult, fit, log_evidence
-from crkr.learner.freeze import Freeze
-from crkr.learner.full import Full
+from crkr.learner.first_come import FirstCome
 from crkr.learner.kernel import Kernel
 from crkr.learner.learner import SELECTORS, Learner
 from crkr.learner.model import Model
@@ -27,10 +26,9 @@ from crkr.learner.truncated_normal import truncated_normal
 __all__ = [
     "SELECTORS",
     "Anms",
+    "FirstCome",
     "FitProblem",
     "FitResult",
-    "Freeze",
-    "Full",
     "Kernel",
     "Learner",
     "Model",

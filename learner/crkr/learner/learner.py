@@ -13,8 +13,7 @@ from crkr.learner.anms import Anms
 from crkr.learner.draws import draw_ids
 from crkr.learner.evidence import FitProblem, FitResult, fit
 from crkr.learner.explain import explain
-from crkr.learner.freeze import Freeze
-from crkr.learner.full import Full
+from crkr.learner.first_come import FirstCome
 from crkr.learner.knowledge import Knowledge
 from crkr.learner.model import Model, checked_states
 from crkr.learner.review import Review, review
@@ -35,7 +34,7 @@ from crkr.protocol import (
 
 __all__ = ["SELECTORS", "Learner"]
 
-SELECTORS: Final[Mapping[str, SelectorFactory]] = {"anms": Anms, "full": Full, "freeze": Freeze}
+SELECTORS: Final[Mapping[str, SelectorFactory]] = {"anms": Anms, "full": FirstCome.full, "freeze": FirstCome.freeze}
 
 _FEWEST_TO_FIT: Final = 30  # active samples, below which the evidence says little about length-scales
 

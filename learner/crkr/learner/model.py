@@ -181,7 +181,10 @@ def checked_states(states: object, dimensions: int) -> Array:
         if math.isfinite(copy.dot(copy)):
             return copy
     batch = depth(states, "states") == 2
-    return finite_array(states, "states", (None, dimensions) if batch else (dimensions,))
+    checked = finite_array(states, "states", (None, dimensions) if batch else (dimensions,))
+    if not checked.size:
+        raise Invalid("states must hold at least one state; got none", details={"field": "states"})
+    return checked
 
 
 def _checked_ids(given: Sequence[UUID | bytes] | UUID | bytes | None, count: int, needed: bool) -> list[UUID]:

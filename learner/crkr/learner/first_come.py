@@ -1,4 +1,4 @@
-"""The rule that stops learning when the budget is full: what the filter is compared with."""
+"""The rules that look at nothing but the order of arrival: what the filter is compared with."""
 
 from __future__ import annotations
 
@@ -9,26 +9,36 @@ from crkr.learner.order import ArrivalOrder
 from crkr.learner.selector import Radii, Standing
 from crkr.protocol import Array
 
-__all__ = ["Freeze"]
+__all__ = ["FirstCome"]
 
 
 @final
-class Freeze:
-    """The first k samples are active; later ones only fill the places of removed ones.
+class FirstCome:
+    """The first `budget` samples are active; later ones only fill the places of removed ones. Make it by name.
 
-    Args:
-        dimensions: Unused; the interface's.
-        budget: k, the largest number of active samples.
+    `freeze` stops learning when the budget is full. `full` keeps everything, Cost-regularized Kernel Regression as it
+    was before there was a filter: a step costs O(n^2), and a prediction too.
     """
 
-    def __init__(self, dimensions: int, budget: int) -> None:
-        del dimensions  # Unused.
+    def __init__(self, budget: int | None) -> None:
         self._budget = budget
         self._order = ArrivalOrder()
 
+    @classmethod
+    def freeze(cls, dimensions: int, budget: int) -> FirstCome:
+        """The oldest `budget` samples; their states, of `dimensions`, do not matter."""
+        del dimensions  # Unused; the interface's.
+        return cls(budget)
+
+    @classmethod
+    def full(cls, dimensions: int, budget: int) -> FirstCome:
+        """All samples, whatever the budget."""
+        del dimensions, budget  # Unused; the interface's.
+        return cls(None)
+
     @property
     def active(self) -> Indices:
-        """Numbers of the oldest k samples that are not removed."""
+        """Numbers of the oldest samples that are not removed."""
         return self._order.first(self._budget)
 
     def extend(self, Z: Array, costs: Array) -> None:
@@ -50,8 +60,9 @@ class Freeze:
         self._order.extend(len(costs))
 
     def set_budget(self, budget: int) -> None:
-        """Makes room for more, or lets the youngest go."""
-        self._budget = budget
+        """Makes room for more, or lets the youngest go, where there is a budget at all."""
+        if self._budget is not None:
+            self._budget = budget
 
     def standing(self, index: int) -> Standing:
         """Nothing suppresses a sample; it came early enough or too late."""

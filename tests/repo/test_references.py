@@ -20,7 +20,7 @@ def listed() -> set[str]:
 
 
 def test_a_key_is_found_with_and_without_an_equation() -> None:
-    assert keys_in("as in [Cardoso2017, eq. 8] and [RFC9562]; not array[Size20] or [a, b]") == {
+    assert keys_in("as [Cardoso2017, eq. 8] and [RFC9562]; not array[Size20] or [a, b]") == {
         "Cardoso2017",
         "RFC9562",
     }

@@ -9,7 +9,7 @@ from typing import Any, Final, final
 
 import numpy as np
 
-from crkr.protocol import Geom, Invalid, Trace, array_to_wire, geoms_from_wire
+from crkr.protocol import Geom, Invalid, Trace, geoms_from_wire
 from crkr.protocol.checks import choice, flag, integer, number, required, text
 from crkr.protocol.telemetry import SHAPES
 from crkr.protocol.trial import KINDS
@@ -56,7 +56,7 @@ class Telemetry:
         Raises:
             Invalid: Something in it cannot be drawn.
         """
-        trace, scene = _wire(message.get("trace")), _wire(message.get("scene"))
+        trace, scene = message.get("trace"), message.get("scene")
         return cls(
             seq=integer(required(message, "seq"), "seq"),
             worker=text(required(message, "worker"), "worker", longest=128),
@@ -68,15 +68,6 @@ class Telemetry:
             trace=None if trace is None else _trace(trace),
             scene=None if scene is None else _scene(scene),
         )
-
-
-def _wire(value: Any) -> Any:
-    """The message form again of what the client has decoded: the protocol's readers take only that."""
-    if isinstance(value, np.ndarray):
-        return array_to_wire(value)
-    if isinstance(value, Mapping):
-        return {key: _wire(entry) for key, entry in value.items()}
-    return [_wire(entry) for entry in value] if isinstance(value, list) else value
 
 
 def _optional_number(value: object, name: str) -> float | None:

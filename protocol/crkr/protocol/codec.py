@@ -150,10 +150,10 @@ def _from_list(value: Sequence[Any], name: str) -> Array:
 
 
 def array_from_wire(value: object, name: str) -> Array:
-    """Decodes an array map or a nested list into a fresh float64 array; null becomes NaN.
+    """Decodes an array map or a nested list into a fresh float64 array; null becomes NaN, a numeric array is copied.
 
     Raises:
-        Invalid: Neither form, or sizes and bytes that disagree.
+        Invalid: None of these forms, or sizes and bytes that disagree.
     """
     if isinstance(value, dict):
         return _from_map(value, name).astype(np.float64)
@@ -161,6 +161,8 @@ def array_from_wire(value: object, name: str) -> Array:
         return _from_list(value, name)
     if isinstance(value, int | float) and not isinstance(value, bool):
         return np.array(value, dtype=np.float64)
+    if isinstance(value, np.ndarray) and value.dtype.kind in "iuf":
+        return value.astype(np.float64)
     raise Invalid(f"{name} must be an array map or a list of numbers; got {type(value).__name__}")
 
 

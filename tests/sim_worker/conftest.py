@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -142,24 +143,31 @@ class FinishedRun:
 
 
 @pytest.fixture(scope="session")
-def finished_run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[FinishedRun]:
-    """Two workers, 120 trials, ten fixed contexts, seed 1."""
-    folder = tmp_path_factory.mktemp("finished")
+def shared_endpoint(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """A server that tests share, each with a task of its own."""
+    folder = tmp_path_factory.mktemp("server")
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
-    with commands(folder) as start, Client(endpoint) as client:
+    with commands(folder) as start:
         start("server", "--listen", endpoint, "--data", str(folder / "data")).wait_for_line("listening on")
+        yield endpoint
+
+
+@pytest.fixture(scope="session")
+def finished_run(shared_endpoint: str, tmp_path_factory: pytest.TempPathFactory) -> Iterator[FinishedRun]:
+    """Two workers, 120 trials, ten fixed contexts, seed 1."""
+    with commands(tmp_path_factory.mktemp("finished")) as start, Client(shared_endpoint) as client:
         task = client.task("reaching")
         with task.subscribe(("trial", "evaluation")) as subscription:
-            options = {"-n": 2, "--trials": 120, "--evaluations": 10, "--seed": 1, "--connect": endpoint}
+            options = {"-n": 2, "--trials": 120, "--evaluations": 10, "--seed": 1, "--connect": shared_endpoint}
             words = [str(word) for option in options.items() for word in option]
             command = start("workers", "reaching:make", "--json", *words)
             report = command.result()
             telemetry = []
             while (message := subscription.receive(0.5)) is not None:
                 telemetry.append(message)
-        yield FinishedRun(endpoint, report, command.log.read_text(), task, telemetry)
+        yield FinishedRun(shared_endpoint, report, command.log.read_text(), task, telemetry)
 
 
 def end(process: subprocess.Popen[str]) -> None:
@@ -196,7 +204,13 @@ def skills_here(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def client(server: Any) -> Iterator[Client]:
-    """A client of the test's server."""
-    with Client(server.endpoint) as client:
+def client(shared_endpoint: str) -> Iterator[Client]:
+    """A client of the shared server."""
+    with Client(shared_endpoint) as client:
         yield client
+
+
+@pytest.fixture
+def task(client: Client, tmp_path: Path) -> Task:
+    """A task of the test's own, not made yet."""
+    return client.task(re.sub(r"[^a-z0-9]+", "-", tmp_path.name.lower()).strip("-")[-40:].lstrip("-"))

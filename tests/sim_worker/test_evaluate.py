@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest
 
-from crkr.client import Client
+from crkr.client import Task
 from crkr.sim_worker.randomness import fresh_rng
 
 Start = Callable[..., Any]
 BALLS = 60
 
 
-def evaluate(start_command: Start, endpoint: str, *words: str) -> Any:
+def evaluate(start_command: Start, endpoint: str, *words: str, task: str = "reaching") -> Any:
     options = ["--skill", "reaching:make", "--balls", str(BALLS), "--seed", "4", "--connect", endpoint, "--json"]
-    return start_command("evaluate", "reaching", *options, *words)
+    return start_command("evaluate", task, *options, *words)
 
 
 def distances(task: Any) -> np.ndarray[Any, Any]:
@@ -48,15 +48,14 @@ def test_the_planner_and_the_rate_before_learning_stand_beside(start_command: St
     assert result["before_learning"] == {"near": before["near"], "exact": before["exact"], "balls": 10}
 
 
-def test_nothing_is_stored_unless_asked_for(start_command: Start, server: Any) -> None:
-    options = ["--connect", server.endpoint, "--evaluations", "0", "--trials", "5"]
+def test_nothing_is_stored_unless_asked_for(start_command: Start, task: Task, shared_endpoint: str) -> None:
+    options = ["--task", task.name, "--connect", shared_endpoint, "--evaluations", "0", "--trials", "5"]
     assert start_command("workers", "reaching:make", *options).finish()[0] == 0
-    with Client(server.endpoint) as client:
-        before = client.task("reaching").status()["samples"]
-        evaluate(start_command, server.endpoint, "--no-oracle").result()
-        assert client.task("reaching").status()["samples"] == before
-        assert evaluate(start_command, server.endpoint, "--no-oracle", "--record").result()["recorded"] == BALLS
-        assert client.task("reaching").status()["samples"]["evaluation"] == BALLS
+    before = task.status()["samples"]
+    evaluate(start_command, shared_endpoint, "--no-oracle", task=task.name).result()
+    assert task.status()["samples"] == before
+    result = evaluate(start_command, shared_endpoint, "--no-oracle", "--record", task=task.name).result()
+    assert result["recorded"] == BALLS == task.status()["samples"]["evaluation"]
 
 
 def test_a_skill_of_another_size_is_refused(start_command: Start, finished_run: Any) -> None:

@@ -12,17 +12,18 @@ import numpy as np
 import pytest
 
 from crkr.client import Client, Task
+from crkr.protocol import UnknownTask
 
 Start = Callable[..., Any]
 
 
 @pytest.fixture
-def train(start_command: Start, server: Any) -> Start:
-    """Starts workers of the test's skill at the test's server."""
+def train(start_command: Start, task: Task, shared_endpoint: str) -> Start:
+    """Starts workers of the test's skill on the test's task."""
 
     def start(*words: str, skill: str = "reaching:make", evaluations: int = 0, endpoint: str = "") -> Any:
-        options = ["--connect", endpoint or server.endpoint, "--evaluations", str(evaluations), "--json"]
-        return start_command("workers", skill, *options, *words)
+        options = ["--connect", endpoint or shared_endpoint, "--evaluations", str(evaluations), "--json"]
+        return start_command("workers", skill, "--task", task.name, *options, *words)
 
     return start
 
@@ -35,16 +36,21 @@ def trained(task: Task) -> int:
     return len(trials(task, "trial", "failed"))
 
 
-def under_way(client: Client, processes: Any, command: Any, least: int = 20) -> Task:
-    """The task, once workers have stored some trials."""
-    task = client.task("reaching")
-    processes.wait_until(lambda: client.tasks() and client.tasks()[0]["samples"] > least, command.log)
-    return task
+def under_way(task: Task, processes: Any, command: Any, least: int = 20) -> None:
+    """Returns once workers have stored some trials."""
+
+    def stored() -> bool:
+        try:
+            return int(sum(task.status()["samples"].values())) > least
+        except UnknownTask:
+            return False
+
+    processes.wait_until(stored, command.log)
 
 
-def test_a_killed_worker_is_named_and_the_rest_meet_the_total(train: Start, client: Client, processes: Any) -> None:
+def test_a_killed_worker_is_named_and_the_rest_meet_the_total(train: Start, task: Task, processes: Any) -> None:
     command = train("-n", "3", "--trials", "400", "--seed", "1")
-    task = under_way(client, processes, command)
+    under_way(task, processes, command)
     os.kill(command.members()[-1], signal.SIGKILL)
     result = command.result()
     assert "was killed by SIGKILL; 2 of 3 go on" in command.log.read_text()
@@ -53,10 +59,10 @@ def test_a_killed_worker_is_named_and_the_rest_meet_the_total(train: Start, clie
 
 
 def test_when_the_last_worker_is_lost_the_launcher_fails_with_one_line(
-    train: Start, client: Client, processes: Any
+    train: Start, task: Task, processes: Any
 ) -> None:
     command = train("-n", "2", "--seed", "1")
-    under_way(client, processes, command)
+    under_way(task, processes, command)
     for member in command.members():
         os.kill(member, signal.SIGKILL)
     status, _, log = command.finish()
@@ -64,9 +70,9 @@ def test_when_the_last_worker_is_lost_the_launcher_fails_with_one_line(
     assert [line for line in log.splitlines() if line.startswith("error: ")] == ["error: all workers are lost"]
 
 
-def test_what_a_lost_worker_had_to_judge_is_judged_by_another(train: Start, client: Client, processes: Any) -> None:
+def test_what_a_lost_worker_had_to_judge_is_judged_by_another(train: Start, task: Task, processes: Any) -> None:
     command = train("-n", "2", "--trials", "150", "--seed", "1", evaluations=40)
-    task = under_way(client, processes, command, least=6)
+    under_way(task, processes, command, least=6)
     os.kill(command.members()[0], signal.SIGKILL)
     command.result()
     balls = Counter(trial.info["epoch"] for trial in trials(task, "evaluation"))
@@ -75,10 +81,10 @@ def test_what_a_lost_worker_had_to_judge_is_judged_by_another(train: Start, clie
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_every_process_within_five_seconds_with_a_summary(
-    number: signal.Signals, train: Start, client: Client, processes: Any
+    number: signal.Signals, train: Start, task: Task, processes: Any
 ) -> None:
     command = train("-n", "2", "--seed", "1", evaluations=10)
-    under_way(client, processes, command)
+    under_way(task, processes, command)
     members = command.members()
     sent = time.monotonic()
     command.process.send_signal(number)
@@ -88,14 +94,13 @@ def test_a_signal_ends_every_process_within_five_seconds_with_a_summary(
     assert processes.running(members) == []
     assert "training trials" in log.splitlines()[-1]
     assert "Traceback" not in log
-    task = client.task("reaching")
     balls = Counter(trial.info["epoch"] for trial in trials(task, "evaluation"))
     assert balls == dict.fromkeys(range(trained(task) // 50 + 1), 10)
 
 
-def test_ctrl_c_on_the_terminals_whole_group_is_quiet(train: Start, client: Client, processes: Any) -> None:
+def test_ctrl_c_on_the_terminals_whole_group_is_quiet(train: Start, task: Task, processes: Any) -> None:
     command = train("-n", "2", "--seed", "1")
-    under_way(client, processes, command)
+    under_way(task, processes, command)
     for pid in [*processes.descendants(command.process.pid), command.process.pid]:
         os.kill(pid, signal.SIGINT)
     status, _, log = command.finish()
@@ -104,18 +109,17 @@ def test_ctrl_c_on_the_terminals_whole_group_is_quiet(train: Start, client: Clie
     assert "Traceback" not in log
 
 
-def test_nothing_outlives_a_killed_launcher(train: Start, client: Client, processes: Any) -> None:
+def test_nothing_outlives_a_killed_launcher(train: Start, task: Task, processes: Any) -> None:
     command = train("-n", "2", "--seed", "1", evaluations=10)
-    under_way(client, processes, command)
+    under_way(task, processes, command)
     everyone = processes.descendants(command.process.pid)
     command.process.kill()
     processes.wait_until(lambda: not processes.running(everyone))
 
 
-def test_a_run_is_taken_up_where_it_was_left(train: Start, client: Client) -> None:
+def test_a_run_is_taken_up_where_it_was_left(train: Start, task: Task) -> None:
     train("--trials", "60", "--seed", "1", evaluations=5).result()
     second = train("--trials", "130", "--seed", "1", evaluations=5).result()
-    task = client.task("reaching")
     assert trained(task) == 130
     assert second["trials"] == 70
     assert second["demonstrations"] == 0
@@ -124,24 +128,23 @@ def test_a_run_is_taken_up_where_it_was_left(train: Start, client: Client) -> No
     assert len(trials(task, "demonstration")) == 5
 
 
-def test_two_launchers_that_start_together_share_five_demonstrations(train: Start, client: Client) -> None:
+def test_two_launchers_that_start_together_share_five_demonstrations(train: Start, task: Task) -> None:
     both = [train("-n", "1", "--trials", "600") for _ in range(2)]
     results = [command.result() for command in both]
-    task = client.task("reaching")
     assert len(trials(task, "demonstration")) == 5 == sum(result["demonstrations"] for result in results)
     assert 600 <= trained(task) <= 604  # what both had under way at the end
 
 
-def test_two_launchers_with_one_seed_do_not_stand_in_each_others_way(train: Start, client: Client) -> None:
+def test_two_launchers_with_one_seed_do_not_stand_in_each_others_way(train: Start, task: Task) -> None:
     both = [train("-n", "1", "--trials", "100", "--seed", "3") for _ in range(2)]
     assert all(command.result()["workers_lost"] == 0 for command in both)
-    assert trained(client.task("reaching")) >= 100
+    assert trained(task) >= 100
 
 
-def test_a_launcher_with_another_seed_joins_the_task(train: Start, client: Client) -> None:
+def test_a_launcher_with_another_seed_joins_the_task(train: Start, task: Task) -> None:
     train("--trials", "10", "--seed", "1").result()
     assert train("--trials", "20", "--seed", "2").result()["trained"] == 20
-    assert client.task("reaching").spec.seed == 1
+    assert task.spec.seed == 1
 
 
 def test_a_task_of_another_kind_is_refused_by_the_fields_that_differ(train: Start) -> None:
@@ -151,22 +154,21 @@ def test_a_task_of_another_kind_is_refused_by_the_fields_that_differ(train: Star
     assert "these fields differ: budget" in log.splitlines()[-1]
 
 
-def test_without_demonstrations_there_is_nothing_to_start_from(train: Start) -> None:
+def test_without_demonstrations_there_is_nothing_to_start_from(train: Start, task: Task) -> None:
     status, _, log = train("--demonstrations", "0").finish()
     assert status == 1
-    assert log.splitlines()[-1].startswith("error: task 'reaching' has nothing to start from")
+    assert log.splitlines()[-1].startswith(f"error: task {task.name!r} has nothing to start from")
 
 
 @pytest.mark.parametrize(
     ("skill", "complaint"), [("tabel-tennis", "error: no skill 'tabel-tennis'; installed: "), ("lacking:make", "")]
 )
-def test_an_unknown_skill_fails_before_anything_is_made(
-    train: Start, client: Client, skill: str, complaint: str
-) -> None:
+def test_an_unknown_skill_fails_before_anything_is_made(train: Start, task: Task, skill: str, complaint: str) -> None:
     status, _, log = train(skill=skill).finish()
     assert status == 1
     assert complaint in log.splitlines()[-1]
-    assert client.tasks() == []
+    with pytest.raises(UnknownTask):
+        task.status()
 
 
 def test_workers_that_come_before_the_server_wait_for_it(
@@ -186,28 +188,31 @@ def test_workers_give_up_on_a_server_that_never_comes(start_command: Start, free
 
 
 def test_a_server_that_was_killed_and_comes_back_finds_its_workers_at_work(
-    train: Start, start_server: Start, processes: Any, tmp_path: Path, free_port: int
+    train: Start, task: Task, start_server: Start, processes: Any, tmp_path: Path, free_port: int
 ) -> None:
     data = tmp_path / "restarted"
     first = start_server(data=data, port=free_port)
     with Client(first.endpoint) as client:
-        command = train("-n", "2", "--trials", "1200", "--seed", "1", evaluations=5, endpoint=first.endpoint)
-        task = under_way(client, processes, command)
+        command = train("-n", "2", "--trials", "800", "--seed", "1", evaluations=5, endpoint=first.endpoint)
+        task = client.task(task.name)
+        under_way(task, processes, command)
         first.process.kill()
         command.wait_for_line("trying again for 60 s")
         start_server(data=data, port=free_port)
         result = command.result()
         assert "the server answers again" in command.log.read_text()
         assert result["workers_lost"] == 0
-        assert trained(task) == 1200
+        assert trained(task) == 800
 
 
-def test_one_worker_that_waits_repeats_a_whole_run(train: Start, start_server: Start, tmp_path: Path) -> None:
+def test_one_worker_that_waits_repeats_a_whole_run(
+    train: Start, task: Task, start_server: Start, tmp_path: Path
+) -> None:
     runs = []
     for name in ("first", "second"):
         server = start_server(data=tmp_path / name)
         train("--trials", "40", "--seed", "5", "--wait", endpoint=server.endpoint).result()
         with Client(server.endpoint) as client:
-            runs.append(trials(client.task("reaching"), "trial", "failed", "demonstration"))
+            runs.append(trials(client.task(task.name), "trial", "failed", "demonstration"))
     assert [trial.id for trial in runs[0]] == [trial.id for trial in runs[1]]
     np.testing.assert_array_equal([trial.goal for trial in runs[0]], [trial.goal for trial in runs[1]])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -21,7 +23,9 @@ def print_summary(console: Console, result: DemoResult) -> None:
         console.print(f"{name:<{width}}  {value}")
     recording = result.summary["recording"]
     if recording:
-        console.print(f"{'look again':<{width}}  rerun {_short(recording)}")
+        viewer = shutil.which("rerun") and "rerun"
+        viewer = viewer or _short(str(Path(sys.executable).with_name("rerun")))  # beside us, where no shell looks
+        console.print(f"{'look again':<{width}}  {viewer} {_short(recording)}")
 
 
 def _rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:

@@ -46,6 +46,10 @@ class Progress:
         return self
 
     def __exit__(self, *exception: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Takes the bar away; a second call does nothing."""
         self._live.stop()
 
     def show(self, done: int, text: str = "", *, now: bool = False) -> None:

@@ -64,7 +64,7 @@ def demo(
     stderr.print(f"{workers} workers learn {skill}; server at {settings.endpoint}, everything in {data}")
 
     def finished(result: DemoResult) -> None:
-        progress.__exit__()
+        progress.close()
         if json:
             print_json(result.summary)
         elif result.summary["samples"]:
@@ -74,6 +74,8 @@ def demo(
 
     with Progress(stderr, "learning", trials, "trials") as progress:
         result = run_demo(settings, progress.say, progress.show, finished)
+    if result.stopped_by is not None:
+        stderr.print(f"stopped by {result.stopped_by}; the same command takes the run up again")
     if result.problem is not None:
         stderr.print(f"error: {result.problem}")
     if result.status:

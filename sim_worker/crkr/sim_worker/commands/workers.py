@@ -23,7 +23,7 @@ Trials = Annotated[
 ]
 Demonstrations = Annotated[int, typer.Option(min=0, help="Demonstrations that the task must have first.")]
 Evaluations = Annotated[
-    int, typer.Option(min=0, max=1024, help="Fixed contexts that judge each epoch of 50 trials; 0 judges nothing.")
+    int, typer.Option(min=0, max=1024, help="Fixed contexts that judge each epoch of 50 trials; 0 leaves it to others.")
 ]
 Environment = Annotated[str | None, typer.Option(help="Which simulator, e.g. contact.")]
 LauncherName = Annotated[str | None, typer.Option("--launcher", help="Where contexts come from, e.g. nominal.")]

@@ -87,7 +87,8 @@ class Follower:
         """What the log says, as plain data for the summary."""
         history = self.history
         if history is None:
-            return {"trials": 0, "demonstrations": 0, "epochs": [], "trials_per_second": 0.0, "samples": 0}
+            nothing = dict.fromkeys(("trials", "demonstrations", "trials_per_second", "samples"), 0)
+            return {**nothing, "success_before": None, "success_after": None, "epochs": []}
         epochs = history.epochs
         return {
             "trials": history.trained,

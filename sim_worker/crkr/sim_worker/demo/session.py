@@ -32,12 +32,14 @@ class DemoResult:
         summary: Plain data, as `--json` prints it.
         status: Exit status.
         problem: Why it is not complete, or None.
+        stopped_by: Name of the signal that ended it, or None.
         viewer: The viewer's address, or None.
     """
 
     summary: dict[str, Any]
     status: int
     problem: str | None
+    stopped_by: str | None
     viewer: str | None
 
 
@@ -135,7 +137,7 @@ def _result(
         "figure": str(settings.figure) if drawn else None,
         "logs": str(settings.logs),
     }
-    return DemoResult(summary, 1 if problem else stop.status, problem, crew.viewer)
+    return DemoResult(summary, 1 if problem else stop.status, problem, summary["stopped_by"], crew.viewer)
 
 
 def _has_content(path: Path) -> bool:

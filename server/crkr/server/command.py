@@ -6,6 +6,7 @@ import gc
 import logging
 import os
 import signal
+import socket
 import sys
 import threading
 from importlib.metadata import version
@@ -36,15 +37,13 @@ def server(
 
     _log_to_stderr(log_level)
     _be_quick()
-    stop = threading.Event()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: stop.set())
+    told_to_stop = _stop_signal()
     with Server(ServerSettings(data, listen, zenoh_config)) as running:
         where = listen or (DEFAULT_LISTEN if zenoh_config is None else f"the endpoints of {zenoh_config}")
         tasks = len(running.tasks.all())
         sys.stderr.write(f"crkr server {version('crkr')} listening on {where}, data in {data}, {tasks} tasks\n")
         sys.stderr.flush()
-        stop.wait()
+        told_to_stop.recv(1)
         watchdog = threading.Timer(_EXIT_PATIENCE_S, os._exit, (0,))
         watchdog.daemon = True
         watchdog.start()
@@ -53,6 +52,20 @@ def server(
     logging.shutdown()
     sys.stderr.flush()
     os._exit(0)
+
+
+def _stop_signal() -> socket.socket:
+    """A socket that gets a byte at SIGTERM or Ctrl-C.
+
+    An event set by a handler would not do: the handler runs on the main thread, and where that thread is just then
+    inside `wait`, it would wait for a lock of its own.
+    """
+    reader, writer = socket.socketpair()
+    writer.setblocking(False)
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: None)
+    signal.set_wakeup_fd(writer.detach(), warn_on_full_buffer=False)
+    return reader
 
 
 def _be_quick() -> None:

@@ -1,0 +1,52 @@
+"""Writes a log of made-up trials, to measure a server on a long one: `python -m crkr.server.filling DIR COUNT`."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Final
+from uuid import UUID
+
+import numpy as np
+import typer
+
+from crkr.protocol import TaskSpec, Trial
+from crkr.server.log import PendingReport, SqliteLog
+
+__all__ = ["fill", "main"]
+
+_REPORT: Final = 10_000  # trials in one transaction
+
+
+def main(directory: Path, count: int) -> None:
+    """Reads a task's specification as JSON from standard input and gives it `count` trials."""
+    fill(directory, TaskSpec.from_dict(json.load(sys.stdin)), count)
+
+
+def fill(directory: Path, spec: TaskSpec, count: int) -> None:
+    """Stores `count` successful trials with uniform states, goals and costs; the same ones every time."""
+    rng = np.random.default_rng(0)
+    bounds = [(np.array([axis.low for axis in axes]), np.array([axis.high for axis in axes])) for axes in _axes(spec)]
+    log = SqliteLog(directory)
+    try:
+        log.create(spec)
+        for first in range(0, count, _REPORT):
+            numbers = range(first, min(first + _REPORT, count))
+            states, goals = (rng.uniform(low, high, (len(numbers), len(low))) for low, high in bounds)
+            costs = rng.uniform(size=len(numbers)).tolist()
+            trials = tuple(
+                Trial(UUID(int=number + 1), state, goal, cost, True)
+                for number, state, goal, cost in zip(numbers, states, goals, costs, strict=True)
+            )
+            log.append_reports([PendingReport(spec.name, trials)])
+    finally:
+        log.close()
+
+
+def _axes(spec: TaskSpec) -> tuple[tuple[object, ...], tuple[object, ...]]:
+    return spec.state, spec.goal
+
+
+if __name__ == "__main__":
+    typer.run(main)

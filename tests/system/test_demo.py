@@ -79,6 +79,7 @@ def start_demo(tmp_path: Path) -> Iterator[Callable[..., Demo]]:
     with ExitStack() as stack:
 
         def start(*options: str, path: tuple[Path, ...] = ()) -> Demo:
+            options = options if "--port" in options else (*options, "--port", "0")
             log = tmp_path / f"demo-{next(count)}.log"
             environment = {
                 **os.environ,

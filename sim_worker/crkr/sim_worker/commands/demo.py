@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 __all__ = ["demo"]
 
 LOOPBACK: Final = "127.0.0.1"
+DEFAULT_PORT: Final = 7447  # where the other commands look unless told otherwise
 
 
 def demo(
@@ -28,8 +29,8 @@ def demo(
     dashboard: Annotated[bool, typer.Option(help="Run the live viewer beside it; needs the extra 'dashboard'.")] = True,
     data: Annotated[Path, typer.Option(help="Folder of all it leaves; a run there is resumed.")] = Path("crkr-demo"),
     port: Annotated[
-        int | None, typer.Option(min=1, max=65535, help="Loopback port of the server; a free one unless given.")
-    ] = None,
+        int, typer.Option(min=0, max=65535, help="Loopback port of the server; 0 takes any free one.")
+    ] = DEFAULT_PORT,
     skill: Annotated[str, typer.Option(help="What to learn; your own as package.module:factory.")] = "table-tennis",
     stay: Annotated[bool, typer.Option("--stay", help="Keep server and viewer until Enter or Ctrl-C.")] = False,
     json: Json = False,
@@ -62,6 +63,8 @@ def demo(
         stay=stay,
     )
     stderr.print(f"{workers} workers learn {skill}; server at {settings.endpoint}, everything in {data}")
+    connect = "" if port == DEFAULT_PORT else f" --connect {settings.endpoint}"
+    stderr.print(f"ask it from another terminal: crkr status {settings.task}{connect}")
 
     def finished(result: DemoResult) -> None:
         progress.close()

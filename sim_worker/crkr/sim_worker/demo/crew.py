@@ -67,11 +67,15 @@ class Crew:
             time.sleep(TICK_S)
         return True
 
-    def start_dashboard(self) -> None:
-        """Starts `crkr watch`; the demo does not depend on it."""
+    def start_dashboard(self, stop: StopRequest) -> None:
+        """Starts `crkr watch` and gives it time to record the first trial; the demo does not depend on it."""
         settings = self._settings
         watch = ["watch", settings.task, "--web", "--save", str(settings.recording), "--connect", settings.endpoint]
         self._watch = self._child("watch", watch)
+        deadline = time.monotonic() + START_S
+        while self.viewer is None and not self.dashboard_lost and not stop and time.monotonic() < deadline:
+            time.sleep(TICK_S)
+            self._check_dashboard()
 
     def start_workers(self) -> None:
         """Starts `crkr workers`."""

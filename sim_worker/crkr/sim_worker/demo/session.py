@@ -102,7 +102,7 @@ def _run(
     if follower.history is not None:
         say(f"resuming: {follower.history.trained} training trials are in {settings.data}")
     if settings.dashboard:
-        crew.start_dashboard()
+        crew.start_dashboard(stop)
     crew.start_workers()
     try:
         while crew.check() and not stop:

@@ -1,5 +1,9 @@
 """The contact simulation against theory, and how far it departs where it does."""
 
+import subprocess
+import sys
+from pathlib import Path
+
 import mujoco
 import numpy as np
 import pytest
@@ -136,6 +140,25 @@ def test_a_breakdown_is_reported_and_leaves_no_trace(simulation: Simulation) -> 
     with pytest.raises(Diverged, match="broke down"):
         simulation.run(flung, controls)
     assert simulation.run(start, controls).states.tobytes() == before
+
+
+def test_a_breakdown_writes_no_file(tmp_path: Path) -> None:
+    """In a process of its own: MuJoCo opens its log where the process works."""
+    program = (
+        "import numpy as np\n"
+        "from crkr.sim_worker.table_tennis.planner import HOME\n"
+        "from crkr.sim_worker.table_tennis.simulation import Diverged, Simulation\n"
+        "simulation = Simulation()\n"
+        "start = simulation.start(HOME, np.array([0.5, 0.1, 1.2, 1e12, 0.0, 0.0]))\n"
+        "try:\n"
+        "    simulation.run(start, np.zeros((20, 6)))\n"
+        "except Diverged:\n"
+        "    raise SystemExit(7)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True, check=False)
+    assert done.returncode == 7, done.stderr
+    assert list(tmp_path.iterdir()) == []
+    assert done.stdout + done.stderr == b""
 
 
 def test_poses_are_mujocos(simulation: Simulation) -> None:

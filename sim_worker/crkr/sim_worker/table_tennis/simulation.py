@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from importlib.resources import as_file, files
 from typing import Any, NamedTuple, final
@@ -28,6 +29,18 @@ SHAPES = {
     int(mujoco.mjtGeom.mjGEOM_CAPSULE): "capsule",
     int(mujoco.mjtGeom.mjGEOM_CYLINDER): "cylinder",
 }
+
+
+_log = logging.getLogger(__name__)
+
+
+def _to_log(message: str) -> None:
+    _log.debug("MuJoCo: %s", message)
+
+
+# Unless told otherwise, MuJoCo writes its warnings to a file in the working directory; `Diverged` carries them instead.
+if mujoco.get_mju_user_warning() is None:
+    mujoco.set_mju_user_warning(_to_log)
 
 
 class Diverged(Exception):

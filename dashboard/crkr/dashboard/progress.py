@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final, final
 
-from crkr.dashboard.wilson import wilson_interval
+from crkr.client.wilson import wilson_interval
 from crkr.dashboard.window import Window
 from crkr.protocol import StoredTrial
 

@@ -10,13 +10,13 @@ from typing import Any, Final, final
 import numpy as np
 
 from crkr.client import Task
+from crkr.client.wilson import wilson_interval
 from crkr.protocol import MAX_STATES, Invalid, Prediction, Trial, task_id
 from crkr.sim_worker.evaluation import COST_OF_NOTHING, criteria
 from crkr.sim_worker.oracle import Planner
 from crkr.sim_worker.pool import spread
 from crkr.sim_worker.randomness import fresh_rng
 from crkr.sim_worker.skill import Floats, Outcome, Skill, SkillOptions
-from crkr.sim_worker.wilson import wilson_interval
 
 __all__ = ["Assessment", "Played", "ask", "play", "record"]
 

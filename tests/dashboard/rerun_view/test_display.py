@@ -4,10 +4,10 @@ from typing import Any
 
 import pytest
 
+from crkr.client.wilson import wilson_interval
 from crkr.dashboard import Feed
 from crkr.dashboard.poller import News
 from crkr.dashboard.rerun_view import Recording, RerunDisplay
-from crkr.dashboard.wilson import wilson_interval
 from crkr.protocol import StoredTrial
 
 Make = Callable[..., StoredTrial]

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from crkr.client.wilson import wilson_interval
 from crkr.sim_worker.run_history import RunHistory
-from crkr.sim_worker.wilson import wilson_interval
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

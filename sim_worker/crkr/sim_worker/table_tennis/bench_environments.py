@@ -25,8 +25,6 @@ __all__ = ["EnvironmentBench", "bench_environments"]
 
 Floats = NDArray[np.float64]
 
-DISTURBANCE = np.array([0.02] * 6 + [0.06] * 6 + [0.004])  # of the planned goals: about what exploration does
-
 
 @final
 @dataclass(frozen=True, slots=True)
@@ -67,46 +65,31 @@ class EnvironmentBench:
         return 1000 * self.analytic_ms / self.batch_us
 
 
-def bench_environments(trials: int, rng: np.random.Generator, batch: int = 3000) -> EnvironmentBench:
-    """Times the same executed trials in every environment, alternating between them.
+def bench_environments(balls: Floats, goals: Floats, batch: int = 3000) -> EnvironmentBench:
+    """Times the same trials in every environment, alternating between them.
 
     Args:
-        trials: How many, at least one.
-        rng: Draws balls and disturbs their planned goals.
-        batch: Size of the batch.
+        balls: (n, 6) as measured.
+        goals: (n, 13) for them, e.g. as a learner chose them; all are executed in contact.
+        batch: Size of the batch, which repeats them.
     """
     skills = {name: TableTennis(SkillOptions(environment=name), traces=False) for name in ENVIRONMENTS}
-    balls, goals = _trials(skills["contact"], trials, rng)
     spent = dict.fromkeys([*ENVIRONMENTS, "bare"], 0.0)
     bare = _Bare()
+    for skill in skills.values():
+        skill.attempt(balls[0], goals[0])  # so that everything is warm
     for ball, goal in zip(balls, goals, strict=True):
         for name, skill in skills.items():
             spent[name] += _timed(lambda skill=skill, ball=ball, goal=goal: skill.attempt(ball, goal))  # type: ignore[misc]  # bound now
         spent["bare"] += bare.timed(ball, goal)
-    rows = np.resize(np.arange(trials), batch)
+    rows = np.resize(np.arange(len(balls)), batch)
     many = AnalyticBatch(Arm())
     many.play(balls[rows], goals[rows])
     at_once = _timed(lambda: many.play(balls[rows], goals[rows]))
-    mean = {name: 1e3 * total / trials for name, total in spent.items()}
+    mean = {name: 1e3 * total / len(balls) for name, total in spent.items()}
     return EnvironmentBench(
-        trials, mean["contact"], mean["bare"], mean["hybrid"], mean["analytic"], batch, 1e6 * at_once / batch
+        len(balls), mean["contact"], mean["bare"], mean["hybrid"], mean["analytic"], batch, 1e6 * at_once / batch
     )
-
-
-def _trials(skill: TableTennis, count: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
-    """Balls (n, 6) and goals (n, 13) that are executed, each played once so that everything is warm."""
-    balls: list[Floats] = []
-    goals: list[Floats] = []
-    while len(balls) < count:
-        ball = skill.reset(rng)
-        plan = skill.plan(ball)
-        if plan is None:
-            continue
-        goal = plan[0] + rng.normal(size=13) * DISTURBANCE
-        if skill.attempt(ball, goal).executed:
-            balls.append(ball)
-            goals.append(goal)
-    return np.array(balls), np.array(goals)
 
 
 class _Bare:

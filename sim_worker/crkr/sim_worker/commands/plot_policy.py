@@ -1,0 +1,42 @@
+"""`crkr plot policy`: what a policy does with the paddle."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from crkr.client.console import stderr
+from crkr.client.options import Connect, Timeout, ZenohConfig
+
+__all__ = ["policy"]
+
+
+def policy(
+    task: Annotated[str, typer.Argument(help="Name of a task of table tennis.")],
+    vary: Annotated[str, typer.Option(help="State coordinate to vary, e.g. ball_y.")],
+    out: Annotated[Path, typer.Option(dir_okay=False, help="A .png, .svg or .pdf.")] = Path("policy.png"),
+    state: Annotated[str | None, typer.Option(help="The other coordinates, in quotes; else mid-range.")] = None,
+    points: Annotated[int, typer.Option(min=2, max=1000, help="How many values.")] = 31,
+    connect: Connect = None,
+    timeout: Timeout = 5.0,
+    zenoh_config: ZenohConfig = None,
+) -> None:
+    """Draw a task's policy in Cartesian space while one coordinate varies.
+
+    Where the paddle meets the ball, how fast and which way it faces, when,
+    and how novel the state is to the model.
+
+    Example: crkr plot policy table-tennis --vary ball_y --out policy.png
+    """
+    from crkr.client import Client
+    from crkr.client.commands.vectors import parse_vector
+    from crkr.sim_worker.table_tennis.policy_figure import draw_policy, varied
+
+    with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
+        asked = client.task(task)
+        index, states = varied(asked.spec, vary, points, None if state is None else parse_vector(state, "--state"))
+        answer = asked.predict(states)
+    draw_policy(asked.spec, index, states, answer.goals, answer.novelty, out)
+    stderr.print(f"{out}: {points} values of {vary}, model version {answer.model_version}")

@@ -26,6 +26,17 @@ def test_flight_agrees_with_an_adaptive_integrator() -> None:
     assert np.abs(np.array(flight(Ball(*start), 0.8)) - exact).max() < 1e-7
 
 
+def test_a_lifted_flight_agrees_with_an_adaptive_integrator() -> None:
+    curl = np.array([0.2, -0.8, 0.3])
+    start = np.array([1.3, 0.1, 1.1, -5.0, 0.2, 1.4])
+
+    def derivative(time: float, state: np.ndarray) -> np.ndarray:
+        return np.asarray(_derivative(time, state) + np.concatenate([np.zeros(3), np.cross(curl, state[3:])]))
+
+    exact = solve_ivp(derivative, (0, 0.8), start, rtol=1e-11, atol=1e-12).y[:, -1]
+    assert np.abs(np.array(flight(Ball(*start), 0.8, (0.2, -0.8, 0.3))) - exact).max() < 1e-7
+
+
 def test_a_falling_ball_approaches_the_speed_at_which_drag_carries_it() -> None:
     ball = flight(Ball(0.0, 0.0, 0.0, 0.0, 0.0, 0.0), 6.0)
     assert -ball.vz == pytest.approx(np.sqrt(GRAVITY / DRAG), rel=1e-3)

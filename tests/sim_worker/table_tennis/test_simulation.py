@@ -12,6 +12,7 @@ from crkr.sim_worker.table_tennis.alone import BallAlone
 from crkr.sim_worker.table_tennis.ball import Ball, bounce, flight
 from crkr.sim_worker.table_tennis.constants import (
     BALL_RADIUS,
+    MAGNUS,
     PADDLE_FRICTION,
     PADDLE_RESTITUTION,
     TABLE_FRICTION,
@@ -109,6 +110,35 @@ def test_drag_in_the_simulation_is_the_drag_of_the_flight_formula(alone: BallAlo
     expected = np.array(flight(start, (len(path) - 1) * alone.timestep))
     # The simulator's first-order steps are off by half a step of gravity: g t dt / 2.
     assert np.abs(path[-1, :6] - expected).max() < 1.5e-3
+
+
+SPIN = np.array([40.0, -150.0, 60.0])
+
+
+def test_spin_does_not_bend_a_flight_unless_it_is_to(alone: BallAlone) -> None:
+    start = Ball(0.5, 0.1, 1.5, -4.4, 0.2, 1.0)
+    path = alone.path(np.array(start), 0.3, SPIN)
+    expected = np.array(flight(start, 0.3))
+    assert np.abs(path[-1, :6] - expected).max() < 2e-3
+    assert path[-1, 6:] == pytest.approx(SPIN)
+
+
+def test_lift_is_that_of_its_coefficient() -> None:
+    """Half density, area, coefficient r omega / v and v^2 make the force, across spin and velocity; in one step."""
+    start = np.array([0.5, 0.1, 1.5, -4.4, 0.2, 1.0])
+    lifted, straight = (BallAlone(magnus=magnus).path(start, 0.002, SPIN)[1, 3:6] for magnus in (True, False))
+    across = np.cross(SPIN, start[3:])
+    area, mass = np.pi * BALL_RADIUS**2, 0.0027
+    assert (lifted - straight) / 0.001 == pytest.approx(0.5 * 1.2 * area * BALL_RADIUS * across / mass, abs=0.02)
+
+
+def test_a_lifted_flight_is_that_of_the_formula() -> None:
+    start = Ball(0.5, 0.1, 1.5, -4.4, 0.2, 1.0)
+    path = BallAlone(magnus=True).path(np.array(start), 0.3, SPIN)
+    curl = MAGNUS * SPIN
+    expected = np.array(flight(start, 0.3, (float(curl[0]), float(curl[1]), float(curl[2]))))
+    assert np.abs(path[-1, :6] - expected).max() < 2.5e-3
+    assert np.abs(expected - np.array(flight(start, 0.3)))[:3].max() > 0.1
 
 
 def test_the_ball_alone_and_the_ball_in_the_scene_are_the_same(simulation: Simulation, alone: BallAlone) -> None:

@@ -62,8 +62,14 @@ def test_demonstrations_succeed_for_balls_that_differ(skill: TableTennis) -> Non
         assert demonstration.result.cost < 0.01
         again = skill.attempt(demonstration.state, demonstration.goal)
         assert again.cost == demonstration.result.cost
-    states = np.array([demonstration.state for demonstration in shown]) / LAUNCHERS["nominal"].spread
-    assert min(np.linalg.norm(a - b) for i, a in enumerate(states) for b in states[:i]) > 1.0
+
+
+def test_demonstrations_are_of_the_launchers_next_balls_that_can_be_returned(skill: TableTennis) -> None:
+    shown = [demonstration.state.tobytes() for demonstration in skill.demonstrations(5, np.random.default_rng(0))]
+    rng = np.random.default_rng(0)
+    drawn = [LAUNCHERS["nominal"].draw(rng) for _ in range(20)]
+    returned = [ball.tobytes() for ball in drawn if skill.plan(ball) is not None]
+    assert shown == returned[:5]
 
 
 def test_the_same_seed_demonstrates_the_same(skill: TableTennis) -> None:
@@ -185,6 +191,33 @@ def test_without_traces_trials_are_the_same(played: tuple[TableTennis, np.ndarra
     bare = TableTennis(SkillOptions(), traces=False).attempt(ball, goal)
     assert bare.trace is None
     assert bare.cost == skill.attempt(ball, goal).cost
+
+
+def test_a_recorded_profile_changes_the_swing_but_not_where_it_hits(
+    played: tuple[TableTennis, np.ndarray, np.ndarray],
+) -> None:
+    plain, ball, goal = played
+    profiled = TableTennis(SkillOptions(), profiled=True)
+    assert profiled.attempt(ball, goal).success
+    films = [skill.film(ball, goal, 0.01) for skill in (plain, profiled)]
+    assert films[0] is not None
+    assert films[1] is not None
+    rows = int(goal[12] / 0.01)
+    apart = np.abs(films[0].joints[:rows] - films[1].joints[:rows]).max(axis=1)
+    assert apart.max() > 0.03
+    assert apart[-1] < 0.2 * apart.max()
+
+
+def test_lift_moves_the_return_and_needs_contact(played: tuple[TableTennis, np.ndarray, np.ndarray]) -> None:
+    plain, ball, goal = played
+    lifted = TableTennis(SkillOptions(), magnus=True).attempt(ball, goal)
+    assert lifted.executed
+    straight = plain.attempt(ball, goal)
+    assert lifted.outcome is not None
+    assert straight.outcome is not None
+    assert 0.005 < np.nanmax(np.abs(lifted.outcome - straight.outcome)) < 1.0
+    with pytest.raises(Invalid, match="contact"):
+        TableTennis(SkillOptions(environment="hybrid"), magnus=True)
 
 
 def _refused(skill: TableTennis, goal: np.ndarray, reason: str) -> None:

@@ -5,9 +5,19 @@ from __future__ import annotations
 from crkr.sim_worker.skill import Skill, SkillOptions
 from crkr.sim_worker.table_tennis.table_tennis import TableTennis
 
-__all__ = ["TableTennis", "make"]
+__all__ = ["TableTennis", "make", "make_lifted", "make_profiled"]
 
 
 def make(options: SkillOptions) -> Skill:
     """Makes the skill; raises `crkr.protocol.Invalid` for an option it does not know."""
     return TableTennis(options)
+
+
+def make_profiled(options: SkillOptions) -> Skill:
+    """The skill with swings that follow a recorded demonstration; to be named as package.module:factory."""
+    return TableTennis(options, profiled=True)
+
+
+def make_lifted(options: SkillOptions) -> Skill:
+    """The skill with a ball that its spin lifts; to be named as package.module:factory."""
+    return TableTennis(options, magnus=True)

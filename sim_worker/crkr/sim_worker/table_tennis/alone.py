@@ -9,7 +9,7 @@ import numpy as np
 from mujoco.rollout import Rollout
 from numpy.typing import NDArray
 
-from crkr.sim_worker.table_tennis.simulation import Gains, check_sound, load_spec
+from crkr.sim_worker.table_tennis.simulation import Gains, check_sound, load_spec, rotated
 
 __all__ = ["ArmAlone", "ArmRecording", "BallAlone"]
 
@@ -18,10 +18,14 @@ Floats = NDArray[np.float64]
 
 @final
 class BallAlone:
-    """The same physics without the arm: what a ball does that nobody hits."""
+    """The same physics without the arm: what a ball does that nobody hits.
 
-    def __init__(self) -> None:
-        spec = load_spec()
+    Args:
+        magnus: Whether a spinning ball is lifted.
+    """
+
+    def __init__(self, *, magnus: bool = False) -> None:
+        spec = load_spec(magnus=magnus)
         for unused in [*spec.actuators, spec.sensor("touch_paddle"), spec.pair("ball_paddle"), spec.body("mount")]:
             spec.delete(unused)
         self._model: Any = spec.compile()
@@ -29,15 +33,18 @@ class BallAlone:
         self._rollout = Rollout(nthread=0)
         self.timestep = float(self._model.opt.timestep)
 
-    def path(self, ball: Floats, duration: float) -> Floats:
-        """Position [m], velocity [m/s] and spin [rad/s] (n + 1, 9), table frame, every timestep from `ball` (6,) on."""
+    def path(self, ball: Floats, duration: float, spin: Floats | None = None) -> Floats:
+        """Position [m], velocity [m/s] and spin [rad/s] (n + 1, 9), table frame, every timestep from `ball` (6,) on.
+
+        It starts with `spin` (3,), none if None.
+        """
         mujoco.mj_resetData(self._model, self._data)
-        start = np.concatenate([[0.0], ball[:3], [1.0, 0.0, 0.0, 0.0], ball[3:], np.zeros(3)])
+        start = np.concatenate([[0.0], ball[:3], [1.0, 0.0, 0.0, 0.0], ball[3:], np.zeros(3) if spin is None else spin])
         steps = int(np.ceil(duration / self.timestep))
         states, _ = self._rollout.rollout(self._model, self._data, start[None], nstep=steps)
         full = np.concatenate([start[None], states[0]])
-        spin = _rotated(full[:, 4:8], full[:, 11:14])  # MuJoCo's is in the ball's frame
-        return np.concatenate([full[:, 1:4], full[:, 8:11], spin], axis=1)
+        turning = rotated(full[:, 4:8], full[:, 11:14])  # MuJoCo's is in the ball's frame
+        return np.concatenate([full[:, 1:4], full[:, 8:11], turning], axis=1)
 
 
 class ArmRecording(NamedTuple):
@@ -94,10 +101,3 @@ class ArmAlone:
         check_sound(self._data, states[0, -1])
         full = np.concatenate([start[None], states[0, :-1]])
         return ArmRecording(full[:, 1:7], full[:, 7:13], sensed[0, :, :3], sensed[0, :, 3:6])
-
-
-def _rotated(quaternions: Floats, vectors: Floats) -> Floats:
-    """`vectors` (n, 3) rotated by unit quaternions (n, 4), scalar first."""
-    scalar, axis = quaternions[:, :1], quaternions[:, 1:]
-    twice = 2 * np.cross(axis, vectors)
-    return np.asarray(vectors + scalar * twice + np.cross(axis, twice))

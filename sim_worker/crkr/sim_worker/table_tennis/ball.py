@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 
 from crkr.sim_worker.table_tennis.constants import DRAG, GRAVITY, SPIN_INERTIA
 
-__all__ = ["Ball", "bounce", "flight", "fly", "fly_to_height", "fly_to_x"]
+__all__ = ["Ball", "Curl", "bounce", "flight", "fly", "fly_to_height", "fly_to_x"]
 
 Floats = NDArray[np.float64]
+Curl = tuple[float, float, float] | None
 
 STEP = 0.02  # [s]; fourth order: 1e-7 m over a rally
 LONGEST_FLIGHT = 3.0  # [s]
@@ -32,22 +33,23 @@ class Ball(NamedTuple):
     vz: Any
 
 
-def fly(ball: Ball, duration: Any) -> Ball:
+def fly(ball: Ball, duration: Any, curl: Curl = None) -> Ball:
     """One classical Runge-Kutta step of flight under gravity and quadratic drag.
 
     Args:
         ball: Coordinates, numbers or arrays.
         duration: [s], at most a few hundredths for full accuracy; a number or an array; negative goes back in time.
+        curl: Vector whose cross product with the velocity is the lift's acceleration [1/s]; None for no lift.
     """
     x, y, z, vx, vy, vz = ball
     half = duration / 2
-    ax1, ay1, az1 = _acceleration(vx, vy, vz)
+    ax1, ay1, az1 = _acceleration(vx, vy, vz, curl)
     vx2, vy2, vz2 = vx + half * ax1, vy + half * ay1, vz + half * az1
-    ax2, ay2, az2 = _acceleration(vx2, vy2, vz2)
+    ax2, ay2, az2 = _acceleration(vx2, vy2, vz2, curl)
     vx3, vy3, vz3 = vx + half * ax2, vy + half * ay2, vz + half * az2
-    ax3, ay3, az3 = _acceleration(vx3, vy3, vz3)
+    ax3, ay3, az3 = _acceleration(vx3, vy3, vz3, curl)
     vx4, vy4, vz4 = vx + duration * ax3, vy + duration * ay3, vz + duration * az3
-    ax4, ay4, az4 = _acceleration(vx4, vy4, vz4)
+    ax4, ay4, az4 = _acceleration(vx4, vy4, vz4, curl)
     sixth = duration / 6
     return Ball(
         x + sixth * (vx + 2 * (vx2 + vx3) + vx4),
@@ -59,29 +61,29 @@ def fly(ball: Ball, duration: Any) -> Ball:
     )
 
 
-def flight(ball: Ball, duration: float) -> Ball:
+def flight(ball: Ball, duration: float, curl: Curl = None) -> Ball:
     """The ball after any `duration` [s], in steps short enough for full accuracy."""
     steps = max(1, int(np.ceil(abs(duration) / STEP)))
     for _ in range(steps):
-        ball = fly(ball, duration / steps)
+        ball = fly(ball, duration / steps, curl)
     return ball
 
 
-def fly_to_height(ball: Ball, height: float) -> tuple[float, Ball] | None:
+def fly_to_height(ball: Ball, height: float, curl: Curl = None) -> tuple[float, Ball] | None:
     """When [s] and how one ball first comes down through `height` [m]; None if not within three seconds."""
-    for time, before, after in _steps(ball):
+    for time, before, after in _steps(ball, curl):
         if after.z <= height < before.z:
-            part = _root(before, "z", height)
-            return time + part, fly(before, part)
+            part = _root(before, "z", height, curl)
+            return time + part, fly(before, part, curl)
     return None
 
 
-def fly_to_x(ball: Ball, x: float) -> tuple[float, Ball] | None:
+def fly_to_x(ball: Ball, x: float, curl: Curl = None) -> tuple[float, Ball] | None:
     """When [s] and how one ball first crosses the plane at `x` [m], either way; None if it reaches the floor first."""
-    for time, before, after in _steps(ball):
+    for time, before, after in _steps(ball, curl):
         if (before.x - x) * (after.x - x) <= 0 and before.x != after.x:
-            part = _root(before, "x", x)
-            return time + part, fly(before, part)
+            part = _root(before, "x", x, curl)
+            return time + part, fly(before, part, curl)
         if after.z < 0 and after.vz < 0:
             return None
     return None
@@ -124,23 +126,26 @@ def bounce(
     return after, spin + np.cross(arm, tangential) / (SPIN_INERTIA * radius**2)
 
 
-def _acceleration(vx: Any, vy: Any, vz: Any) -> tuple[Any, Any, Any]:
+def _acceleration(vx: Any, vy: Any, vz: Any, curl: Curl) -> tuple[Any, Any, Any]:
     pull = -DRAG * (vx * vx + vy * vy + vz * vz) ** 0.5
-    return pull * vx, pull * vy, pull * vz - GRAVITY
+    if curl is None:
+        return pull * vx, pull * vy, pull * vz - GRAVITY
+    x, y, z = curl
+    return pull * vx + y * vz - z * vy, pull * vy + z * vx - x * vz, pull * vz + x * vy - y * vx - GRAVITY
 
 
-def _steps(ball: Ball) -> Iterator[tuple[float, Ball, Ball]]:
+def _steps(ball: Ball, curl: Curl) -> Iterator[tuple[float, Ball, Ball]]:
     for index in range(int(LONGEST_FLIGHT / STEP)):
-        after = fly(ball, STEP)
+        after = fly(ball, STEP, curl)
         yield index * STEP, ball, after
         ball = after
 
 
-def _root(ball: Ball, axis: str, value: float) -> float:
+def _root(ball: Ball, axis: str, value: float, curl: Curl) -> float:
     """Duration [s] within one integration step after which coordinate `axis` reaches `value`, by Newton's method."""
     duration = 0.0
     for _ in range(8):
-        there = fly(ball, duration)
+        there = fly(ball, duration, curl)
         duration -= (getattr(there, axis) - value) / getattr(there, "v" + axis)
         duration = min(max(duration, 0.0), STEP)
     return duration

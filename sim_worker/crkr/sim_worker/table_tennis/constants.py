@@ -17,6 +17,7 @@ __all__ = [
     "DRAG",
     "FACE_OFFSET",
     "GRAVITY",
+    "MAGNUS",
     "NET_HALF_LENGTH",
     "NET_TOP",
     "PADDLE_FRICTION",
@@ -46,6 +47,9 @@ BALL_RADIUS: Final = 0.02  # [m]
 BALL_MASS: Final = 0.0027  # [kg]
 SPIN_INERTIA: Final = 2 / 3  # moment of inertia over m r^2: a thin shell
 DRAG: Final = 0.5 * 1.2 * 0.47 * 3.141592653589793 * BALL_RADIUS**2 / BALL_MASS  # air density, CD 0.47; [1/m]
+# Lift of a spinning ball, off unless asked for: a lift coefficient equal to the spin parameter r omega / v, which is of
+# the usual size and our choice. The acceleration is MAGNUS * spin x velocity.
+MAGNUS: Final = 0.5 * 1.2 * 3.141592653589793 * BALL_RADIUS**3 / BALL_MASS
 
 PADDLE_RADIUS: Final = 0.08  # [m]
 PADDLE_HALF_THICKNESS: Final = 0.006  # [m]

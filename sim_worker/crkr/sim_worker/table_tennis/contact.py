@@ -9,16 +9,20 @@ from numpy.typing import NDArray
 
 from crkr.sim_worker.table_tennis import tracking
 from crkr.sim_worker.table_tennis.arm import Arm
-from crkr.sim_worker.table_tennis.ball import Ball, flight
+from crkr.sim_worker.table_tennis.ball import Ball, Curl, flight
+from crkr.sim_worker.table_tennis.constants import MAGNUS
 from crkr.sim_worker.table_tennis.joint_trajectory import JointTrajectory
 from crkr.sim_worker.table_tennis.play import FOLLOW, Play
 from crkr.sim_worker.table_tennis.simulation import (
     ARM_POSITION,
     ARM_VELOCITY,
     BALL_POSITION,
+    BALL_ROTATION,
+    BALL_SPIN,
     BALL_VELOCITY,
     Recording,
     Simulation,
+    rotated,
 )
 
 __all__ = ["ContactEnvironment"]
@@ -69,7 +73,8 @@ class ContactEnvironment:
         untouched = at_hit[BALL_POSITION].copy()
         if touches.size and touches[0] <= before:
             # The state that entered the first step with contact is still free of it.
-            untouched = np.array(flight(_ball(states[touches[0]]), hit_time - touches[0] * step)[:3])
+            free = states[touches[0]]
+            untouched = np.array(flight(_ball(free), hit_time - touches[0] * step, self._curl(free))[:3])
         return Play(
             hit_time=hit_time,
             ball=ball,
@@ -81,7 +86,14 @@ class ContactEnvironment:
             time=np.arange(len(states), dtype=np.float64) * step,
             joints=states[:, ARM_POSITION],
             path=states[:, BALL_POSITION],
+            curl=self._curl(states[-1]),
         )
+
+    def _curl(self, state: Floats) -> Curl:
+        if not self._simulation.magnus:
+            return None
+        x, y, z = (MAGNUS * rotated(state[None, BALL_ROTATION], state[None, BALL_SPIN])[0]).tolist()
+        return x, y, z
 
 
 def _ball(state: Floats) -> Ball:

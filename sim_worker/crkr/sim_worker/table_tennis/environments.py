@@ -28,6 +28,6 @@ def make_environment(name: str, arm: Arm, simulation: Simulation) -> Environment
     return AnalyticEnvironment(arm)
 
 
-def make_predictor(name: str) -> Predictor:
+def make_predictor(name: str, *, magnus: bool = False) -> Predictor:
     """What a ball does that nobody hits, in the environment of that name."""
-    return BallAlone() if name == "contact" else FreeBall()
+    return BallAlone(magnus=magnus) if name == "contact" else FreeBall()

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crkr.sim_worker.table_tennis.arm import Paddle
-from crkr.sim_worker.table_tennis.ball import Ball
+from crkr.sim_worker.table_tennis.ball import Ball, Curl
 from crkr.sim_worker.table_tennis.joint_trajectory import JointTrajectory
 
 __all__ = ["FOLLOW", "Environment", "Play"]
@@ -35,6 +35,7 @@ class Play:
         time: (n,) [s] of the recorded motion below.
         joints: (n, 6) measured joint positions [rad].
         path: (n, 3) ball positions [m].
+        curl: Lift of the ball from `end` on, as `fly` takes it.
     """
 
     hit_time: float
@@ -47,6 +48,7 @@ class Play:
     time: Floats
     joints: Floats
     path: Floats
+    curl: Curl = None
 
 
 class Environment(Protocol):

@@ -71,7 +71,7 @@ def draw_policy(spec: TaskSpec, index: int, states: Floats, goals: Floats, novel
     above, side, time, unsure = figure.subplots(2, 2).ravel()
     for axes, vertical, label in ((above, 1, "y [m]"), (side, 2, "z [m]")):
         shown = _paddles(axes, hits, values, vertical)
-        axes.set(xlabel="x [m]", ylabel=label, aspect="equal")
+        axes.set(xlabel="x [m]", ylabel=label, aspect="equal", adjustable="datalim")
     above.set_title("paddle from above; arrows: its way in 50 ms")
     side.set_title("from the side; lines: its face")
     side.plot([-TABLE_HALF_LENGTH, -TABLE_HALF_LENGTH + 0.15], [TABLE_HEIGHT] * 2, color="navy", linewidth=3)
@@ -90,6 +90,7 @@ def _paddles(axes: Any, hits: _Hits, values: Floats, vertical: int) -> Any:
     """Draws the paddles in the plane of x and another coordinate, coloured by value; returns the coloured points."""
     plane = [0, vertical]
     centres, ways = hits.centres[:, plane], STRIDE * hits.velocities[:, plane]
+    axes.update_datalim(np.vstack([centres + 1.5 * ways, centres - 0.5 * ways]))
     axes.quiver(*centres.T, *ways.T, values, angles="xy", scale_units="xy", scale=1, width=0.004)
     faces = np.stack([-hits.normals[:, vertical], hits.normals[:, 0]], axis=1) * 0.08  # across the normal, blade-sized
     axes.plot(*np.stack([centres - faces, centres + faces]).transpose(2, 0, 1), color="0.7", linewidth=1, zorder=0)

@@ -13,12 +13,15 @@ from mujoco.rollout import Rollout
 from numpy.typing import NDArray
 
 from crkr.sim_worker.skill import Geom
+from crkr.sim_worker.table_tennis.constants import BALL_MASS, BALL_RADIUS, MAGNUS
 
-__all__ = ["Diverged", "Gains", "Recording", "Simulation", "load_spec"]
+__all__ = ["Diverged", "Gains", "Recording", "Simulation", "load_spec", "rotated"]
 
 Floats = NDArray[np.float64]
 
 JOINTS = 6
+AIR_DENSITY = 1.2  # [kg/m^3], as in scene.xml
+BALL_VOLUME = 4 / 3 * np.pi * BALL_RADIUS**3  # [m^3]
 # A full physics state: time, arm and ball positions (6, then 3 + quaternion), arm and ball velocities (6, then 3 + 3).
 ARM_POSITION, BALL_POSITION, BALL_ROTATION = slice(1, 7), slice(7, 10), slice(10, 14)
 ARM_VELOCITY, BALL_VELOCITY, BALL_SPIN = slice(14, 20), slice(20, 23), slice(23, 26)
@@ -78,10 +81,15 @@ class Recording(NamedTuple):
 
 @final
 class Simulation:
-    """The scene under MuJoCo. One object serves one thread; runs share nothing: same input, same bits."""
+    """The scene under MuJoCo. One object serves one thread; runs share nothing: same input, same bits.
 
-    def __init__(self) -> None:
-        self.model: Any = load_spec().compile()
+    Args:
+        magnus: Whether a spinning ball is lifted.
+    """
+
+    def __init__(self, *, magnus: bool = False) -> None:
+        self.model: Any = load_spec(magnus=magnus).compile()
+        self.magnus = magnus
         self._data: Any = mujoco.MjData(self.model)
         self._rollout = Rollout(nthread=0)
         self._warmstart = np.zeros((1, self.model.nv))
@@ -172,12 +180,22 @@ def check_sound(data: Any, last: Floats) -> None:
         raise Diverged(f"the simulation broke down: {', '.join(raised) or 'not finite'}")
 
 
-def load_spec() -> Any:
+def load_spec(*, magnus: bool = False) -> Any:
     """The scene as an editable MuJoCo specification."""
     with as_file(files(__package__) / "scene.xml") as path:
-        return mujoco.MjSpec.from_file(str(path))
+        spec = mujoco.MjSpec.from_file(str(path))
+    if magnus:  # The last coefficient is relative to density * volume * spin x velocity.
+        spec.geom("ball").fluid_coefs[4] += MAGNUS * BALL_MASS / (AIR_DENSITY * BALL_VOLUME)
+    return spec
 
 
 def _triple(values: Floats) -> tuple[float, float, float]:
     x, y, z = values.tolist()
     return x, y, z
+
+
+def rotated(quaternions: Floats, vectors: Floats) -> Floats:
+    """`vectors` (n, 3) rotated by unit quaternions (n, 4), scalar first."""
+    scalar, axis = quaternions[:, :1], quaternions[:, 1:]
+    twice = 2 * np.cross(axis, vectors)
+    return np.asarray(vectors + scalar * twice + np.cross(axis, twice))

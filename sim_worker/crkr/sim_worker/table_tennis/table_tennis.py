@@ -13,6 +13,7 @@ from crkr.protocol import Geom, Invalid, TaskSpec
 from crkr.sim_worker.skill import Demonstration, Outcome, SkillOptions
 from crkr.sim_worker.table_tennis.arm import ACCELERATION_LIMITS, SPEED_LIMITS, Arm
 from crkr.sim_worker.table_tennis.collision import CollisionCheck
+from crkr.sim_worker.table_tennis.demonstrated_profile import demonstrated_profile
 from crkr.sim_worker.table_tennis.environments import ENVIRONMENTS, make_environment, make_predictor
 from crkr.sim_worker.table_tennis.launchers import LAUNCHERS, Launcher
 from crkr.sim_worker.table_tennis.planner import HOME, Planner
@@ -20,20 +21,16 @@ from crkr.sim_worker.table_tennis.play import Play
 from crkr.sim_worker.table_tennis.primitive import Infeasible, JointLimits, JointTrajectory, Primitive
 from crkr.sim_worker.table_tennis.simulation import Diverged, Simulation
 from crkr.sim_worker.table_tennis.spec import task_spec
-from crkr.sim_worker.table_tennis.spread import spread_out
 from crkr.sim_worker.table_tennis.tracing import Motion, motion, trace
 from crkr.sim_worker.table_tennis.tracker import judge
+from crkr.sim_worker.table_tennis.wind_up import wind_up
 
 __all__ = ["ENVIRONMENTS", "TableTennis"]
 
 Floats = NDArray[np.float64]
 
 CRITERIA: Final = {"tuned": "strict", "paper": "paper"}  # the success that each preset learns from
-POOL: Final = 60  # balls drawn for each demonstration wanted
-# Five demonstrations lie within 1.5 standard deviations of the centre, more of them further out: too few that
-# are too far apart do not determine how goals change in between.
-CENTRAL: Final = 1.5
-OUTWARD: Final = 0.2  # power of the count
+DRAWS: Final = 20  # balls tried for each demonstration wanted, at most
 
 _log = logging.getLogger(__name__)
 
@@ -49,12 +46,17 @@ class TableTennis:
         options: Environment "contact", "hybrid" or "analytic"; launcher "nominal", "medium" or "wide"; preset "tuned"
             or "paper".
         traces: False leaves `Outcome.trace` empty, which saves half a millisecond a trial.
+        profiled: Swings follow the acceleration profile of a recorded demonstration with a wind-up rather than the
+            smallest accelerations that reach the goal.
+        magnus: Spin lifts the ball; in contact only.
 
     Raises:
         Invalid: An option of another name.
     """
 
-    def __init__(self, options: SkillOptions, *, traces: bool = True) -> None:
+    def __init__(
+        self, options: SkillOptions, *, traces: bool = True, profiled: bool = False, magnus: bool = False
+    ) -> None:
         self._name = _choice("environment", options.environment or "contact", ENVIRONMENTS)
         self._launcher: Launcher = LAUNCHERS[_choice("launcher", options.launcher or "nominal", LAUNCHERS)]
         preset = _choice("preset", options.preset or "tuned", CRITERIA)
@@ -62,7 +64,10 @@ class TableTennis:
         self._spec = task_spec(self._launcher, preset, options.name, options.seed)
         self._low, self._high = self._spec.bounds
         self._arm = Arm()
-        self._simulation = Simulation()
+        if magnus and self._name != "contact":
+            raise Invalid(f"lift needs the environment contact; got {self._name}")
+        self._magnus = magnus
+        self._simulation = Simulation(magnus=magnus)
         self._environment = make_environment(self._name, self._arm, self._simulation)
         self._collision = CollisionCheck(self._arm)
         self._primitive = Primitive(JointLimits(self._arm.lower, self._arm.upper, SPEED_LIMITS, ACCELERATION_LIMITS))
@@ -70,6 +75,8 @@ class TableTennis:
         self._traces = traces
         self._ball: Floats | None = None
         self.diverged = 0  # trials that the simulator broke down in
+        if profiled:
+            self._primitive = Primitive(self._primitive.limits, self._recorded_profile())
 
     def spec(self) -> TaskSpec:
         """The preset's task specification."""
@@ -119,16 +126,14 @@ class TableTennis:
         return motion(swing, play, judge(play), interval)
 
     def demonstrations(self, count: int, rng: np.random.Generator) -> Sequence[Demonstration]:
-        """Plans successful returns for balls spread over the central part of the launcher."""
+        """Plans successful returns for the launcher's next balls; those that it cannot return are drawn again."""
         found: list[Demonstration] = []
-        pool = [self._launcher.draw(rng) for _ in range(max(POOL * count, 1))]
-        scaled = (np.array(pool) - self._launcher.centre) / self._launcher.spread
-        for index in spread_out(scaled, CENTRAL * (count / 5) ** OUTWARD):
+        for _ in range(DRAWS * count):
             if len(found) == count:
                 break
-            plan = self.plan(pool[index])
-            if plan is not None:
-                found.append(Demonstration(pool[index], *plan))
+            ball = self._launcher.draw(rng)
+            if (plan := self.plan(ball)) is not None:
+                found.append(Demonstration(ball, *plan))
         if len(found) < count:
             raise Invalid(f"{self._spec.name}: {len(found)} of {count} demonstrations found; ask for fewer")
         return found
@@ -146,12 +151,23 @@ class TableTennis:
     def _plans(self, ball: Floats) -> Iterator[tuple[Floats, Outcome]]:
         """The planner's goals for `ball` with their outcomes, up to the first strict success."""
         if self._planner is None:
-            self._planner = Planner(self._arm, make_predictor(self._name))
+            self._planner = Planner(self._arm, make_predictor(self._name, magnus=self._magnus))
         for goal in self._planner.goals(ball):
             outcome = self.attempt(ball, goal)
             yield goal, outcome
             if outcome.info["outcomes"]["strict"]:
                 return
+
+    def _recorded_profile(self) -> Floats:
+        """The profile (N, 6) of a demonstration with a wind-up at the launcher's central ball, as measured there."""
+        ball = np.array(self._launcher.centre)
+        plan = self.plan(ball)
+        if plan is None:
+            raise Invalid(f"the planner cannot return the central ball of launcher {self._launcher.name!r}")
+        speeds, hit_time = plan[0][6:12], float(plan[0][12])
+        self._primitive = Primitive(self._primitive.limits, wind_up(speeds, hit_time))
+        _, play = self._play(ball, plan[0])
+        return demonstrated_profile(play.time, play.joints, play.hit_time)
 
     def scene(self) -> Sequence[Geom]:
         """Table, net, floor, pedestal, arm, paddle and ball."""

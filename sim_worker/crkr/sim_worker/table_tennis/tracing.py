@@ -51,7 +51,7 @@ def motion(swing: JointTrajectory, play: Play, verdict: Verdict, interval: float
     time = np.arange(0.0, play.end, interval)
     joints, ball = _at(time, play.time, play.joints), _at(time, play.time, play.path)
     if verdict.landing is not None:
-        later, flight = rally(play.after, verdict.landing[0], interval)
+        later, flight = rally(play.after, verdict.landing[0], interval, play.curl)
         time = np.concatenate([time, play.end + later])
         joints = np.concatenate([joints, swing.sample(play.end + later)[0]])
         ball = np.concatenate([ball, flight])

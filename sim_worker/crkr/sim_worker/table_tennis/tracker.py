@@ -8,7 +8,7 @@ from typing import Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from crkr.sim_worker.table_tennis.ball import Ball, fly, fly_to_height, fly_to_x
+from crkr.sim_worker.table_tennis.ball import Ball, Curl, fly, fly_to_height, fly_to_x
 from crkr.sim_worker.table_tennis.constants import (
     AIM,
     BALL_RADIUS,
@@ -58,7 +58,7 @@ def judge(play: Play) -> Verdict:
     """Judges a play by both criteria."""
     face = play.paddle.position + FACE_OFFSET * play.paddle.normal
     cost = cost_of(float(np.linalg.norm(np.array(play.ball[:3]) - face)))
-    landing = fly_to_height(play.after, TOUCH_HEIGHT) if play.touched else None
+    landing = fly_to_height(play.after, TOUCH_HEIGHT, play.curl) if play.touched else None
     error = (landing[1].x - AIM[0], landing[1].y - AIM[1]) if landing else (np.nan, np.nan)
     outcome = np.array([*(play.untouched - face), *error])
     reason = _reason(play, landing)
@@ -72,12 +72,12 @@ def cost_of(distance: float) -> float:
     return float(-np.expm1(-0.5 * (distance / COST_WIDTH) ** 2))
 
 
-def rally(ball: Ball, duration: float, interval: float) -> tuple[Floats, Floats]:
+def rally(ball: Ball, duration: float, interval: float, curl: Curl = None) -> tuple[Floats, Floats]:
     """Times (n,) [s] and positions (n, 3) [m] of a free flight, for drawing."""
     count = max(1, int(np.ceil(duration / interval)))
     points = [ball]
     for _ in range(count):
-        points.append(fly(points[-1], duration / count))
+        points.append(fly(points[-1], duration / count, curl))
     return np.linspace(0.0, duration, count + 1), np.array([point[:3] for point in points])
 
 
@@ -89,7 +89,7 @@ def _reason(play: Play, landing: tuple[float, Ball] | None) -> str:
     if landing is None:  # It left below the table's height.
         return "below"
     spot = landing[1]
-    if spot.x >= 0 and not _clears_net(play.after):
+    if spot.x >= 0 and not _clears_net(play.after, play.curl):
         return "net"
     if abs(spot.y) > TABLE_HALF_WIDTH:
         return "out"
@@ -100,8 +100,8 @@ def _reason(play: Play, landing: tuple[float, Ball] | None) -> str:
     return "returned" if spot.x >= 0 else "own_half"
 
 
-def _clears_net(ball: Ball) -> bool:
-    crossing = fly_to_x(ball, 0.0)
+def _clears_net(ball: Ball, curl: Curl) -> bool:
+    crossing = fly_to_x(ball, 0.0, curl)
     if crossing is None:
         return False
     return bool(crossing[1].z > NET_TOP + BALL_RADIUS or abs(crossing[1].y) > NET_HALF_LENGTH + BALL_RADIUS)

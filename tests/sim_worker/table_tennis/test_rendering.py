@@ -43,6 +43,18 @@ def test_a_picture_and_a_film_can_be_saved(simulation: Simulation, motion: Motio
     assert (tmp_path / "trial.gif").read_bytes().startswith(b"GIF89a")
 
 
+def test_a_sequence_shows_six_moments(tmp_path: Path) -> None:
+    render_trial(SkillOptions(), 3, tmp_path / "swing.png", width=160, height=90, sequence=True)
+    picture = imread(tmp_path / "swing.png")[..., :3]
+    assert picture.shape[:2] == (180, 480)
+    moments = [
+        picture[90 * row : 90 * row + 90, 160 * column : 160 * column + 160] for row in (0, 1) for column in range(3)
+    ]
+    assert all(np.abs(a - b).max() > 0.1 for i, a in enumerate(moments) for b in moments[:i])
+    with pytest.raises(Invalid, match=r"\.png"):
+        render_trial(SkillOptions(), 3, tmp_path / "swing.gif", width=160, height=90, sequence=True)
+
+
 def test_other_kinds_of_file_are_refused(simulation: Simulation, motion: Motion, tmp_path: Path) -> None:
     with Artist(simulation, 64, 64) as artist:
         with pytest.raises(Invalid, match=r"\.png"):

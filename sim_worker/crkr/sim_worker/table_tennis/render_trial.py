@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from crkr.protocol import Invalid
 from crkr.sim_worker.randomness import fresh_rng
 from crkr.sim_worker.skill import SkillOptions
-from crkr.sim_worker.table_tennis.rendering import Artist, save_film, save_picture
+from crkr.sim_worker.table_tennis.rendering import Artist, save_film, save_picture, save_sequence
 from crkr.sim_worker.table_tennis.simulation import Simulation
 from crkr.sim_worker.table_tennis.table_tennis import TableTennis
 
@@ -29,6 +29,7 @@ def render_trial(
     goal: NDArray[np.float64] | None = None,
     width: int = 1280,
     height: int = 720,
+    sequence: bool = False,
 ) -> str:
     """Draws the trial of one ball of an evaluation and saves it.
 
@@ -39,7 +40,8 @@ def render_trial(
         ball: Which ball of the evaluation.
         goal: (13,) to draw; None is the planner's.
         width: [pixels].
-        height: [pixels].
+        height: [pixels]; of each moment in a sequence.
+        sequence: Show the moments of a .png one beside the other rather than in one picture.
 
     Returns:
         The trial's reason, e.g. "returned".
@@ -60,7 +62,9 @@ def render_trial(
     if motion is None:
         raise Invalid(f"nothing to draw: the goal is refused ({reason})")
     with Artist(Simulation(), width, height) as artist:
-        if path.suffix == ".png":
+        if sequence:
+            save_sequence(artist, motion, path)
+        elif path.suffix == ".png":
             save_picture(artist, motion, path)
         else:
             save_film(artist, motion, path, RATE)

@@ -17,7 +17,7 @@ from crkr.protocol import Invalid, Unsupported
 from crkr.sim_worker.table_tennis.simulation import Simulation
 from crkr.sim_worker.table_tennis.tracing import Motion
 
-__all__ = ["Artist", "save_film", "save_picture"]
+__all__ = ["Artist", "save_film", "save_picture", "save_sequence"]
 
 Picture = NDArray[np.uint8]
 
@@ -109,6 +109,21 @@ def save_picture(artist: Artist, motion: Motion, path: Path) -> None:
         moved = np.abs(moment - still).max(axis=2, keepdims=True) > THRESHOLD
         composed = np.where(moved, 0.35 * composed + 0.65 * moment, composed)
     imsave(path, composed.astype(np.uint8))
+
+
+def save_sequence(artist: Artist, motion: Motion, path: Path, columns: int = 3) -> None:
+    """Saves several moments of a motion one beside the other, in two rows, as a .png.
+
+    Raises:
+        Invalid: Another suffix.
+    """
+    if path.suffix != ".png":
+        raise Invalid(f"a picture is a .png; got {path.name}")
+    from matplotlib.image import imsave
+
+    rows = np.linspace(0, len(motion.time) - 1, 2 * columns).astype(int).tolist()
+    frames = [artist.frame(motion, row) for row in rows]
+    imsave(path, np.vstack([np.hstack(frames[:columns]), np.hstack(frames[columns:])]))
 
 
 def save_film(artist: Artist, motion: Motion, path: Path, rate: int = 30) -> None:

@@ -16,8 +16,10 @@ from crkr.learner import Learner
 from crkr.sim_worker.randomness import demonstration_rng, training_rng
 from crkr.sim_worker.skill import Floats, SkillOptions
 from crkr.sim_worker.table_tennis.arm import ACCELERATION_LIMITS, SPEED_LIMITS, Arm
+from crkr.sim_worker.table_tennis.batch import AnalyticBatch
 from crkr.sim_worker.table_tennis.bench_environments import bench_environments
 from crkr.sim_worker.table_tennis.bench_primitive import SwingGoal, bench_primitive
+from crkr.sim_worker.table_tennis.environments import ENVIRONMENTS
 from crkr.sim_worker.table_tennis.planner import HOME
 from crkr.sim_worker.table_tennis.primitive import Infeasible, JointLimits, Primitive
 from crkr.sim_worker.table_tennis.table_tennis import TableTennis
@@ -57,6 +59,25 @@ def measure(trials: int, seed: int) -> Iterator[Row]:
     detail = {"analytic us": 1e3 * bench.analytic_ms, "batched us": bench.batch_us}
     yield Row(f"analytic trials a second, {bench.batch} at once / one by one", bench.batch_speedup, 100.0, True, detail)
     yield from _swings(run)
+    yield from _agreement(run)
+
+
+def _agreement(run: Run) -> Iterator[Row]:
+    """How the other environments judge the same trials as the exact one does."""
+    balls, goals = run.balls[run.executed], run.goals[run.executed]
+    verdicts = {}
+    for name in ENVIRONMENTS:
+        skill = TableTennis(SkillOptions(environment=name), traces=False)
+        results = [skill.attempt(ball, goal) for ball, goal in zip(balls, goals, strict=True)]
+        landings = np.array([np.full(2, np.nan) if r.outcome is None else r.outcome[3:] for r in results])
+        verdicts[name] = np.array([bool(r.info["outcomes"]["strict"]) for r in results]), landings
+    exact, landed = verdicts.pop("analytic")
+    verdicts["analytic, batched"] = AnalyticBatch(Arm()).play(balls, goals).strict, np.full_like(landed, np.nan)
+    for name, (strict, landings) in verdicts.items():
+        apart = np.linalg.norm(landings - landed, axis=1)
+        apart = apart[~np.isnan(apart)]
+        detail = {"landings apart, median m": float(np.median(apart))} if apart.size else {}
+        yield Row(f"same strict verdict as analytic: {name}", float((strict == exact).mean()), None, True, detail)
 
 
 def _swings(run: Run) -> Iterator[Row]:

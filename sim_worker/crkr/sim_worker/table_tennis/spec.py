@@ -40,7 +40,7 @@ LEARNING: Final[dict[str, dict[str, Any]]] = {
         "description": "Return a table tennis ball; the settings that learn best.",
         "kernel": {"linear_weight": 2.0},
         # A cost near zero says that this ball was met, not that the goal is exact for its neighbours.
-        "noise_floor": 0.1,
+        "noise_floor": 0.2,
         # Twice the draw: what five drawn demonstrations leave out at the edges is found, not extrapolated for ever.
         "explore_scale": 2.0,
         "exploration": {"type": "gaussian"},

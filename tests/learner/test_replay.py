@@ -1,14 +1,18 @@
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 from uuid import uuid4
 
 import numpy as np
 import pytest
 
-from crkr.learner import Learner
+from crkr.learner import Learner, TrialColumns
 from crkr.protocol import (
+    KINDS,
+    Conflict,
+    Invalid,
     TaskSpec,
     Trial,
     make_trials,
@@ -48,8 +52,37 @@ def events(learner: Learner, rng: np.random.Generator, trials: list[Trial]) -> l
     return log
 
 
+def as_columns(seqs: Sequence[int], trials: Sequence[Trial]) -> TrialColumns:
+    return TrialColumns(
+        seqs=np.array(seqs),
+        ids=b"".join(trial.id.bytes for trial in trials),
+        digests=b"".join(trial.digest() for trial in trials),
+        states=np.array([trial.state for trial in trials]),
+        goals=np.array([trial.goal for trial in trials]),
+        costs=np.array([np.nan if trial.cost is None else trial.cost for trial in trials]),
+        kinds=np.array([KINDS.index(trial.kind) for trial in trials], dtype=np.uint8),
+        success=np.array([trial.success for trial in trials]),
+    )
+
+
+def test_columns_are_refused_out_of_order_out_of_bulk_and_with_a_known_id(make_spec: MakeSpec) -> None:
+    spec = make_spec()
+    trials = make_trials(spec, state=np.zeros((3, 2)), goal=np.zeros((3, 2)), cost=np.zeros(3), success=True)
+    learner = Learner(spec)
+    with pytest.raises(Invalid, match="bulk"):
+        learner.apply_columns(as_columns([2, 3, 4], trials))
+    with pytest.raises(Invalid, match="one entry a trial"):
+        replace(as_columns([2, 3, 4], trials), success=np.array([True]))
+    with learner.bulk():
+        with pytest.raises(Invalid, match="ascend"):
+            learner.apply_columns(as_columns([2, 4, 3], trials))
+        learner.apply_columns(as_columns([2, 3], trials[:2]))
+        with pytest.raises(Conflict, match="log position 5 repeats"):
+            learner.apply_columns(as_columns([4, 5], [trials[2], trials[0]]))
+
+
 @pytest.mark.parametrize("selector", ["anms", "full", "freeze"])
-@pytest.mark.parametrize("way", ["one by one", "grouped", "bulk", "bulk, then one by one"])
+@pytest.mark.parametrize("way", ["one by one", "grouped", "bulk", "bulk, then one by one", "bulk, as columns"])
 def test_replaying_the_events_gives_the_same_learner(make_spec: MakeSpec, selector: str, way: str) -> None:
     rng = np.random.default_rng(11)
     spec = make_spec(3, 2, budget=30, selector=selector)
@@ -71,11 +104,13 @@ def test_replaying_the_events_gives_the_same_learner(make_spec: MakeSpec, select
             if kind == "trials" and way == "one by one":
                 for seq, trial in zip(*arguments, strict=True):
                     second.apply_trials([seq], [trial])
+            elif kind == "trials" and way == "bulk, as columns":
+                second.apply_columns(as_columns(*arguments))
             else:
                 getattr(second, f"apply_{kind}")(*arguments)
 
     if way.startswith("bulk"):
-        middle = len(log) if way == "bulk" else len(log) // 2
+        middle = len(log) // 2 if way == "bulk, then one by one" else len(log)
         with second.bulk():
             apply(log[:middle])
         apply(log[middle:])

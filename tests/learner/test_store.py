@@ -26,8 +26,36 @@ def test_index_finds_what_a_dict_finds(ids: list[bytes]) -> None:
         assert index.find(id_words(value), words) == truth.get(value)
 
 
+@settings(max_examples=30, deadline=None)
+@given(st.lists(st.binary(min_size=16, max_size=16), unique=True, max_size=600), st.integers(0, 600))
+def test_ids_entered_together_are_found_like_ids_entered_one_by_one(ids: list[bytes], first: int) -> None:
+    index, words = IdIndex(), np.array([id_words(value) for value in ids], dtype=np.uint64).reshape(-1, 2)
+    assert index.extend(words[:first]) is None
+    assert index.extend(words) is None
+    assert [index.find(id_words(value), words) for value in ids] == list(range(len(ids)))
+    if ids:
+        repeated = np.concatenate([words, words[:1]])
+        assert index.extend(repeated) == len(ids)
+
+
+@pytest.mark.parametrize("shift", range(0, 128, 8))
+def test_ids_that_count_up_in_any_byte_spread_over_the_table(shift: int) -> None:
+    ids = [(number << shift) % 2**128 for number in range(1, 200)]
+    ids += [(number << shift + 8) % 2**128 for number in range(200, 4000)]
+    distinct = list(dict.fromkeys(ids))
+    words = np.array([id_words(one.to_bytes(16, "big")) for one in distinct], dtype=np.uint64)
+    index = IdIndex()
+    index.extend(words)
+    mask = len(index._slots) - 1
+    longest = 0
+    for place, row in enumerate(index._slots.tolist()):
+        if row >= 0:
+            longest = max(longest, (place - index.home((int(words[row, 0]), int(words[row, 1])))) & mask)
+    assert longest < 64
+
+
 def test_index_copes_with_ids_that_share_a_slot() -> None:
-    # Words that cancel in the hash: every id starts its search in the same slot.
+    # Few words: searches meet each other on the way.
     words = np.array([(number, number) for number in range(2000)], dtype=np.uint64)
     index = IdIndex()
     for row in range(2000):

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
+from types import TracebackType
 from typing import Any, Final, final
 from uuid import UUID
 
@@ -52,13 +52,21 @@ class Rpc:
             return unpack(reply)
 
 
-@contextmanager
-def reading(verb: str) -> Iterator[None]:
+@final
+class reading:  # noqa: N801 - it reads as a phrase, `with reading(verb):`
     """Turns a complaint about an answer into `Internal`: it is the server that is wrong, not the caller."""
-    try:
-        yield
-    except (Invalid, TypeError, ValueError, KeyError, AttributeError) as error:
-        raise Internal(f"the server's answer to {verb} cannot be read: {error}") from error
+
+    __slots__ = ("_verb",)
+
+    def __init__(self, verb: str) -> None:
+        self._verb = verb
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None) -> None:
+        if isinstance(error, Invalid | TypeError | ValueError | KeyError | AttributeError):
+            raise Internal(f"the server's answer to {self._verb} cannot be read: {error}") from error
 
 
 def plain(value: Any) -> Any:

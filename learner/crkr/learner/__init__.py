@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from crkr.learner.anms import Anms
 from crkr.learner.anms_batch import radii, radii_kdtree, top
+from crkr.learner.columns import TrialColumns
 from crkr.learner.cost import saturated_cost
 from crkr.learner.draws import draw_ids, uniforms
 from crkr.learner.evidence import FitProblem, FitResult, fit, log_evidence
@@ -40,6 +41,7 @@ __all__ = [
     "Selector",
     "SelectorFactory",
     "Standing",
+    "TrialColumns",
     "draw_ids",
     "fit",
     "log_evidence",

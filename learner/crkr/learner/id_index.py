@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 __all__ = ["IdIndex", "id_words"]
 
 _FIRST_SLOTS: Final = 256
-_MULTIPLIER: Final = 0x9E3779B97F4A7C15  # odd, spreads consecutive ids over the table
+_MULTIPLIER: Final = 0x9E3779B97F4A7C15  # odd; used twice, it spreads ids of any pattern over the table
 _WORD: Final = 2**64
 
 
@@ -43,22 +43,50 @@ class IdIndex:
         self._slots[self._probe((int(ids[row, 0]), int(ids[row, 1])), ids)] = row
         self._count += 1
 
+    def extend(self, ids: NDArray[np.uint64]) -> int | None:
+        """Enters the rows of `ids` past those in the table; a row whose id is there already, or None."""
+        first = self._count
+        size = len(self._slots)
+        while 2 * len(ids) > size:
+            size *= 2
+        if size > len(self._slots):
+            self._slots = np.full(size, -1, dtype=np.int32)
+            first = 0
+        self._count = len(ids)
+        return self._enter(np.arange(first, len(ids), dtype=np.int32), ids)
+
+    def home(self, words: tuple[int, int]) -> int:
+        """The slot where the search for an id starts."""
+        spread = (words[0] + words[1] * _MULTIPLIER) % _WORD
+        return ((spread ^ spread >> 32) * _MULTIPLIER % _WORD) >> 32 & (len(self._slots) - 1)
+
     def _probe(self, words: tuple[int, int], ids: NDArray[np.uint64]) -> int:
         """The slot that holds this id, or the free one where it belongs."""
         mask = len(self._slots) - 1
-        slot = ((words[0] ^ words[1]) * _MULTIPLIER % _WORD) >> 32 & mask
+        slot = self.home(words)
         while (row := self._slots[slot]) >= 0 and (ids[row, 0] != words[0] or ids[row, 1] != words[1]):
             slot = (slot + 1) & mask
         return slot
 
     def _grow(self, ids: NDArray[np.uint64]) -> None:
-        """Twice the slots, all rows entered anew at once: rows that lose a slot to another try the next."""
+        """Twice the slots, all rows entered anew."""
         self._slots = np.full(2 * len(self._slots), -1, dtype=np.int32)
+        self._enter(np.arange(len(ids), dtype=np.int32), ids)
+
+    def _enter(self, rows: NDArray[np.int32], ids: NDArray[np.uint64]) -> int | None:
+        """Enters rows at once: those that lose a slot to another try the next. A row whose id comes twice ends it."""
         mask = np.uint64(len(self._slots) - 1)
-        slots = ((ids[:, 0] ^ ids[:, 1]) * np.uint64(_MULTIPLIER) >> np.uint64(32)) & mask
-        rows = np.arange(len(ids), dtype=np.int32)
+        multiplier, half = np.uint64(_MULTIPLIER), np.uint64(32)
+        spread = ids[rows, 0] + ids[rows, 1] * multiplier
+        slots = ((spread ^ spread >> half) * multiplier >> half) & mask
         while len(rows):
             free = self._slots[slots] < 0
             self._slots[slots[free]] = rows[free]
-            waiting = self._slots[slots] != rows
-            rows, slots = rows[waiting], (slots[waiting] + np.uint64(1)) & mask
+            holders = self._slots[slots]
+            waiting = holders != rows
+            rows, slots, holders = rows[waiting], slots[waiting], holders[waiting]
+            same = (ids[rows] == ids[holders]).all(axis=1)
+            if same.any():
+                return int(rows[same][0])
+            slots = (slots + np.uint64(1)) & mask
+        return None

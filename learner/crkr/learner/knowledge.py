@@ -10,6 +10,7 @@ from uuid import UUID
 import numpy as np
 
 from crkr.learner.anms_batch import Indices
+from crkr.learner.columns import TrialColumns
 from crkr.learner.kernel import Kernel
 from crkr.learner.model import Model
 from crkr.learner.parameters import Parameters
@@ -75,6 +76,24 @@ class Knowledge:
             self.since_fit += len(eligible)
             self.selection.extend(eligible)
             self._refresh(any(self.store.is_demonstration(row) for row in rows))
+
+    def apply_columns(self, columns: TrialColumns) -> None:
+        """Stores many new trials; only while `bulk` goes on, which learns from them at its end.
+
+        Raises:
+            Invalid: Positions that do not ascend from the version on; outside of `bulk`.
+            Conflict: An id that is stored already, or comes twice; this knowledge is of no use then.
+        """
+        if not self._deferred:
+            raise Invalid("columns are applied in bulk only; use apply_trials")
+        if not len(columns):
+            return
+        if (np.diff(columns.seqs, prepend=self.version) <= 0).any():
+            raise Invalid(f"seqs must ascend from above {self.version}; got {columns.seqs[:5].tolist()}")
+        known = self.store.extend(columns)
+        if known is not None:
+            raise Conflict(f"trials to apply must be new; log position {int(self.store.seqs[known])} repeats an id")
+        self.version = int(columns.seqs[-1])
 
     def apply_recost(self, seq: int, ids: Sequence[UUID | bytes], costs: object) -> int:
         """Changes the present costs of trials; returns how many differ now.

@@ -10,6 +10,7 @@ from uuid import UUID
 import numpy as np
 
 from crkr.learner.anms import Anms
+from crkr.learner.columns import TrialColumns
 from crkr.learner.draws import draw_ids
 from crkr.learner.evidence import FitProblem, FitResult, fit
 from crkr.learner.explain import explain
@@ -249,6 +250,15 @@ class Learner:
             Conflict: An id that is stored already, or comes twice.
         """
         self._told.apply_trials(seqs, trials)
+
+    def apply_columns(self, columns: TrialColumns) -> None:
+        """Applies many trials within `bulk`, ten times quicker than `apply_trials`.
+
+        Raises:
+            Invalid: Positions that do not ascend from the version on; outside of `bulk`.
+            Conflict: An id that is stored already, or comes twice; the learner is of no use then.
+        """
+        self._told.apply_columns(columns)
 
     def apply_recost(self, seq: int, ids: Sequence[UUID | bytes], costs: object) -> int:
         """Applies a change of costs at log position `seq`; see `recost`."""

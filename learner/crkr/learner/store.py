@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crkr.learner.anms_batch import Indices
+from crkr.learner.columns import TrialColumns
 from crkr.learner.growable import Growable
 from crkr.learner.id_index import IdIndex, id_words
 from crkr.protocol import KINDS, Array, Conflict, Invalid, Trial
@@ -83,6 +84,22 @@ class SampleStore:
         self._removed.append(False)
         self._index.add(row, self._ids.rows)
         return row
+
+    def extend(self, columns: TrialColumns) -> int | None:
+        """Stores trials whose ids are new; a row whose id was there already, or None. The store is spoilt then."""
+        for column, values in (
+            (self._ids, np.frombuffer(columns.ids, "<u8").reshape(-1, 2)),
+            (self._digests, np.frombuffer(columns.digests, "<u8").reshape(-1, 2)),
+            (self._seqs, columns.seqs),
+            (self._states, columns.states),
+            (self._goals, columns.goals),
+            (self._costs, columns.costs),
+            (self._kinds, columns.kinds),
+            (self._success, columns.success),
+            (self._removed, np.zeros(len(columns), dtype=np.bool_)),
+        ):
+            column.extend(values)
+        return self._index.extend(self._ids.rows)
 
     def find(self, trial_id: UUID) -> int | None:
         """Row of a trial, or None."""

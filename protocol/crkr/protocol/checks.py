@@ -16,7 +16,7 @@ __all__ = ["choice", "depth", "entries", "finite_array", "flag", "integer", "num
 
 def required(message: Mapping[str, Any], field: str) -> Any:
     """The field's value, or `Invalid` that names it."""
-    if isinstance(message, Mapping) and field in message:
+    if (type(message) is dict or isinstance(message, Mapping)) and field in message:
         return message[field]
     got = "" if isinstance(message, Mapping) else f" in a map; got {type(message).__name__}"
     raise Invalid(f"field {field!r} is required{got}", details={"field": field})

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from typing import Any, Final
 from uuid import UUID
 
@@ -24,6 +25,7 @@ __all__ = [
     "array_to_wire",
     "check_encoding",
     "encoding",
+    "frozen_from_wire",
     "id_from_wire",
     "pack",
     "unpack",
@@ -44,6 +46,7 @@ def encoding(kind: str) -> str:
     return f"{_MEDIA};crkr.{kind}.v{PROTOCOL_VERSION}"
 
 
+@lru_cache(64)
 def check_encoding(text: str) -> None:
     """Accepts this version's encodings, plain msgpack, and none at all (Zenoh then says "zenoh/bytes").
 
@@ -96,8 +99,11 @@ def unpack(data: bytes) -> dict[str, Any]:
         message = msgpack.unpackb(data, raw=False, strict_map_key=True)
     except (ValueError, TypeError, RecursionError, OverflowError, msgpack.UnpackException) as error:
         raise Invalid(f"message is not msgpack with text keys: {type(error).__name__}: {error}") from error
-    if not isinstance(message, dict) or not all(isinstance(key, str) for key in message):
+    if not isinstance(message, dict):
         raise Invalid(f"message must be a map with text keys; got {type(message).__name__}")
+    for key in message:
+        if type(key) is not str:
+            raise Invalid(f"message must be a map with text keys; got a key of type {type(key).__name__}")
     return message
 
 
@@ -164,6 +170,16 @@ def array_from_wire(value: object, name: str) -> Array:
     if isinstance(value, np.ndarray) and value.dtype.kind in "iuf":
         return value.astype(np.float64)
     raise Invalid(f"{name} must be an array map or a list of numbers; got {type(value).__name__}")
+
+
+def frozen_from_wire(value: object, name: str) -> Array:
+    """As `array_from_wire`, but read-only: the bytes of a message are looked at where they are, not copied."""
+    array = _from_map(value, name) if type(value) is dict else array_from_wire(value, name)
+    if array.dtype != np.float64:
+        array = array.astype(np.float64)
+    if array.flags.writeable:
+        array.setflags(write=False)
+    return array
 
 
 def id_from_wire(value: object, name: str = "id") -> UUID:

@@ -27,25 +27,22 @@ def main(directory: Path, count: int) -> None:
 def fill(directory: Path, spec: TaskSpec, count: int) -> None:
     """Stores `count` successful trials with uniform states, goals and costs; the same ones every time."""
     rng = np.random.default_rng(0)
-    bounds = [(np.array([axis.low for axis in axes]), np.array([axis.high for axis in axes])) for axes in _axes(spec)]
+    state = np.array([[axis.low, axis.high] for axis in spec.state]).T
+    goal = np.array([[axis.low, axis.high] for axis in spec.goal]).T
     log = SqliteLog(directory)
     try:
         log.create(spec)
         for first in range(0, count, _REPORT):
             numbers = range(first, min(first + _REPORT, count))
-            states, goals = (rng.uniform(low, high, (len(numbers), len(low))) for low, high in bounds)
+            states, goals = (rng.uniform(box[0], box[1], (len(numbers), box.shape[1])) for box in (state, goal))
             costs = rng.uniform(size=len(numbers)).tolist()
             trials = tuple(
-                Trial(UUID(int=number + 1), state, goal, cost, True)
-                for number, state, goal, cost in zip(numbers, states, goals, costs, strict=True)
+                Trial(UUID(int=number + 1), one, tried, cost, True)
+                for number, one, tried, cost in zip(numbers, states, goals, costs, strict=True)
             )
             log.append_reports([PendingReport(spec.name, trials)])
     finally:
         log.close()
-
-
-def _axes(spec: TaskSpec) -> tuple[tuple[object, ...], tuple[object, ...]]:
-    return spec.state, spec.goal
 
 
 if __name__ == "__main__":

@@ -1,11 +1,12 @@
 """Predictions for many single states as bytes, many times faster than one map each, and the same bytes.
 
-A reply's bytes differ from its neighbour's in the numbers and the id only; everything between is packed once a batch.
+A reply's bytes differ from its neighbour's in the numbers and the id only; everything between is packed once.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from functools import lru_cache
 from typing import Any, Final
 
 from crkr.protocol import Array, Prediction, pack
@@ -38,8 +39,7 @@ def packed_rows(answer: Prediction, ids: Sequence[bytes], compute_us: int) -> It
         ids: b ids of 16 bytes.
         compute_us: Time of the model [us], for all of them.
     """
-    scalars = {"model_version": answer.model_version, "active": answer.active, "policy": answer.policy}
-    tail = pack({**scalars, "compute_us": compute_us})[1:]
+    tail = _scalars(answer.model_version, answer.active, answer.policy) + _entry("compute_us", compute_us)
     columns = [_column(name, getattr(answer, name), len(ids)) for name in ("goals", "means", "sigmas", "novelty")]
     modelled = answer.predicted_outcome is not None
     after = ("predicted_outcome", "predicted_outcome_sd") if modelled else ()
@@ -60,6 +60,17 @@ def _column(name: str, array: Array, count: int) -> tuple[bytes, bytes, int]:
     data = array.astype("<f8", copy=False).tobytes()
     width = len(data) // count
     scalar = array.ndim == 0 or (array.ndim == 1 and width == 8 and name == "novelty")
-    shape = [] if scalar else [width // 8]
-    entry = _entry(name, {"shape": shape, "dtype": "<f8", "data": bytes(width)})
-    return entry[: len(entry) - width], data, width
+    return _array_head(name, width, scalar), data, width
+
+
+@lru_cache(256)
+def _array_head(name: str, width: int, scalar: bool) -> bytes:
+    """An array's entry up to its bytes."""
+    entry = _entry(name, {"shape": [] if scalar else [width // 8], "dtype": "<f8", "data": bytes(width)})
+    return entry[: len(entry) - width]
+
+
+@lru_cache(256)
+def _scalars(model_version: int, active: int, policy: str) -> bytes:
+    """The same in every answer of a model."""
+    return pack({"model_version": model_version, "active": active, "policy": policy})[1:]

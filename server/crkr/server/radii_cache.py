@@ -3,16 +3,51 @@
 from __future__ import annotations
 
 import logging
+import time
+from typing import Final, final
 
 import numpy as np
 
 from crkr.learner import RadiiCache
 from crkr.protocol import CrkrError
 from crkr.server.log import LogReader, TaskLog
+from crkr.server.tasks import ServedTask
 
-__all__ = ["load_radii", "save_radii"]
+__all__ = ["MANY", "RadiiKeeper", "load_radii", "save_radii"]
+
+MANY: Final = 10_000  # entries, from which on keeping the radii pays
+_EVERY: Final = 2000  # entries between; a restart learns the ones since then as they come
+_PAUSE_S: Final = 5.0  # at least, between writing them: 24 bytes a sample
 
 logger = logging.getLogger(__name__)
+
+
+@final
+class RadiiKeeper:
+    """Keeps the radii of long tasks every now and then, so that a restart after a crash is quick too."""
+
+    def __init__(self, log: TaskLog) -> None:
+        self._log = log
+        self._kept: dict[str, tuple[int, float]] = {}
+
+    def step(self, task: ServedTask) -> None:
+        """Called on the learning thread whenever a task has a new model."""
+        version, when = self._kept.get(task.name, (0, -np.inf))
+        now = time.monotonic()
+        if task.model.version > MANY and task.model.version - version >= _EVERY and now - when >= _PAUSE_S:
+            self._kept[task.name] = (task.model.version, now)
+            self._save(task)
+
+    def finish(self, task: ServedTask) -> None:
+        """Called when learning is over."""
+        kept = self._log.reads.load_cache(task.name)
+        if task.model.version > MANY and not task.fault and (kept is None or kept[0] < task.model.version):
+            self._save(task)
+
+    def _save(self, task: ServedTask) -> None:
+        radii = task.learner.radii()
+        if radii is not None:
+            save_radii(self._log, task.name, radii)
 
 
 def save_radii(log: TaskLog, task: str, radii: RadiiCache) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Iterator
-from itertools import islice
 from typing import Final
 
 from crkr.protocol import StorageError, TaskSpec
@@ -19,7 +18,7 @@ __all__ = ["restore"]
 logger = logging.getLogger(__name__)
 
 _BATCH: Final = 4096
-_FEW: Final = 2000  # entries that are cheaper to learn as they come than all radii are to find anew
+_FEW: Final = 5000  # entries that are cheaper to learn as they come than all radii are to find anew
 
 
 def restore(log: LogReader, name: str) -> ServedTask:
@@ -29,24 +28,32 @@ def restore(log: LogReader, name: str) -> ServedTask:
         StorageError: The log is damaged.
     """
     started = time.monotonic()
-    entries = log.read(name)
-    first = next(entries, None)
+    first = next(log.read(name), None)
     if not isinstance(first, Event) or first.kind != "create":
         raise StorageError(f"the log of task {name!r} does not begin with its creation; restore a backup")
     task = ServedTask(TaskSpec.from_dict(first.body["spec"]))
     last, radii = log.last(name), load_radii(log, name)
     if last <= _FEW:
-        _replay(task, entries)
-    elif radii is not None and last - _FEW <= radii.version <= last:
-        with task.learner.bulk(radii):
-            _replay(task, islice(entries, radii.version - 1))
-        _replay(task, entries)
+        _replay(task, log.read(name, 1))
     else:
-        with task.learner.bulk():
-            _replay(task, entries)
+        usable = radii is not None and last - _FEW <= radii.version <= last
+        upto = radii.version if radii is not None and usable else last
+        with task.learner.bulk(radii if usable else None):
+            _replay_blocks(task, log, upto)
+        _replay(task, log.read(name, upto))
     task.publish()
     logger.info("restored task %s at log position %d in %.2f s", name, task.seq, time.monotonic() - started)
     return task
+
+
+def _replay_blocks(task: ServedTask, log: LogReader, upto: int) -> None:
+    for entry in log.blocks(task.name, task.dimensions, len(task.created.goal), upto):
+        if isinstance(entry, Event):
+            task.note(entry)
+            apply_entries(task.learner, entry)
+        else:
+            task.note_columns(entry)
+            task.learner.apply_columns(entry)
 
 
 def _replay(task: ServedTask, entries: Iterator[LoggedTrial | Event]) -> None:

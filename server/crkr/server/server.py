@@ -12,6 +12,7 @@ from uuid import uuid4
 
 import zenoh
 
+from crkr.learner import Model
 from crkr.protocol import StorageError, live_server_key, rpc_key, task_key
 from crkr.protocol.keys import admin_key
 from crkr.server.fitting import DueFit, Fitting
@@ -22,7 +23,7 @@ from crkr.server.learning import Learning
 from crkr.server.log import SqliteLog
 from crkr.server.notices import Notices
 from crkr.server.predicting import Predictor
-from crkr.server.radii_cache import save_radii
+from crkr.server.radii_cache import RadiiKeeper
 from crkr.server.reading import Reader
 from crkr.server.restoring import restore
 from crkr.server.session import DEFAULT_LISTEN, open_session
@@ -35,7 +36,6 @@ __all__ = ["DEFAULT_LISTEN", "Server", "ServerSettings"]
 logger = logging.getLogger(__name__)
 
 _QUEUE: Final = 256
-_MANY: Final = 10_000  # entries, from which on keeping the radii pays
 _DRAIN_S: Final = 1.0  # for requests that were taken in before the order to stop
 
 
@@ -79,7 +79,8 @@ class Server:
             self._log.close()
             raise
         self._latencies, self._workers = Latencies(), Workers()
-        self._learning = Learning(Notices(self._session), self._fit_when_due)
+        self._notices, self._radii = Notices(self._session), RadiiKeeper(self._log)
+        self._learning = Learning(self._learned, self._fit_when_due)
         self._due: dict[str, DueFit] = {}
         self._lanes: list[Lane[Any]] = []
         self._intakes: list[Intake] = []
@@ -135,15 +136,10 @@ class Server:
             self._due[task.name] = DueFit(task.name)
             self._refit_lane.offer(self._due[task.name])
 
-    def _keep_radii(self) -> None:
-        """After learning stopped: its learners are nobody's now."""
-        for task in self.tasks.all():
-            version = task.model.version
-            kept = self._log.reads.load_cache(task.name)
-            if version > _MANY and not task.fault and (kept is None or kept[0] < version):
-                radii = task.learner.radii()
-                if radii is not None:
-                    save_radii(self._log, task.name, radii)
+    def _learned(self, task: ServedTask, before: Model, after: Model) -> None:
+        """Called by learning for every new model."""
+        self._notices(task, before, after)
+        self._radii.step(task)
 
     def _queues(self) -> dict[str, Any]:
         return {verb: depth for lane in self._lanes for verb, depth in lane.depths().items()}
@@ -162,8 +158,8 @@ class Server:
             lane.close(max(0.05, deadline - time.monotonic()))
         learned = self._learning.close(max(0.05, deadline - time.monotonic()))
         try:
-            if learned:
-                self._keep_radii()
+            for task in self.tasks.all() if learned else ():  # learners are nobody's now
+                self._radii.finish(task)
             self._log.close()
         except StorageError as error:  # what was acknowledged is in the write-ahead log, and stays
             logger.warning("the task log was not closed cleanly: %s", error.message)

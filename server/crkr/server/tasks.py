@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections import Counter
 from typing import Final, final
 
-from crkr.learner import Learner, Model
-from crkr.protocol import TaskSpec, UnknownTask
+import numpy as np
+
+from crkr.learner import Learner, Model, TrialColumns
+from crkr.protocol import KINDS, TaskSpec, UnknownTask
 from crkr.server.log import Event, LoggedTrial
 
 __all__ = ["ServedTask", "Tasks"]
@@ -74,6 +76,12 @@ class ServedTask:
             self.archived = True
         elif entry.kind == "configure":
             self.configured = entry.seq
+
+    def note_columns(self, columns: TrialColumns) -> None:
+        """Counts trials that the log holds."""
+        self.seq = int(columns.seqs[-1])
+        for kind, count in zip(KINDS, np.bincount(columns.kinds, minlength=len(KINDS)).tolist(), strict=True):
+            self.samples[kind] += count
 
     def publish(self) -> None:
         """Makes what the learner knows the policy that answers."""

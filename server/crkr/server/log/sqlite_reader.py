@@ -11,7 +11,11 @@ from pathlib import Path
 from typing import Any, Final, final
 from uuid import UUID
 
+import numpy as np
+
+from crkr.learner import TrialColumns
 from crkr.protocol import StorageError, UnknownTask, unpack
+from crkr.server.log.blocks import BLOCK_COLUMNS, columns_of
 from crkr.server.log.entries import Event, LoggedTrial
 from crkr.server.log.rows import PAGE_COLUMNS, TRIAL_COLUMNS, body_digest, trial_of, wire_of
 from crkr.server.log.schema import check_version, connect, storage_errors
@@ -20,6 +24,8 @@ __all__ = ["SqliteReader"]
 
 _FIND: Final = "SELECT 1 FROM trial WHERE task = ? AND id = ?"
 _READ_TRIALS: Final = f"SELECT {TRIAL_COLUMNS} FROM trial WHERE task = ? AND seq > ? ORDER BY seq"
+_READ_BLOCKS: Final = f"SELECT {BLOCK_COLUMNS} FROM trial WHERE task = ? AND seq > ? AND seq < ? ORDER BY seq"
+_BLOCK: Final = 4096  # trials read together
 _READ_EVENTS: Final = "SELECT seq, time, kind, body, digest FROM event WHERE task = ? AND seq > ? ORDER BY seq"
 _PAGE: Final = f"SELECT {PAGE_COLUMNS} FROM trial WHERE task = ? AND seq > ? ORDER BY seq LIMIT ?"
 _LAST: Final = """SELECT max((SELECT coalesce(max(seq), 0) FROM trial WHERE task = :task),
@@ -78,6 +84,26 @@ class SqliteReader:
                 expected = _follows(task, event.seq, expected)
                 yield event
                 event = next(events, None)
+
+    def blocks(self, task: str, dimensions: int, outputs: int, upto: int) -> Iterator[TrialColumns | Event]:
+        """The entries up to a log position as `read` gives them, neighbouring trials together; many times quicker."""
+        with storage_errors(f"read the log of task {task!r}"):
+            connection, key = self._connection(), self._key(task)
+            events = [_event(row) for row in connection.execute(_READ_EVENTS, (key, 0))]
+            expected = 0
+            for event in [*(event for event in events if event.seq <= upto), None]:
+                before = upto + 1 if event is None else event.seq
+                cursor = connection.execute(_READ_BLOCKS, (key, expected, before))
+                while rows := cursor.fetchmany(_BLOCK):
+                    block = columns_of(rows, dimensions, outputs)
+                    gaps = np.flatnonzero(np.diff(block.seqs, prepend=expected) != 1)
+                    if len(gaps):
+                        _follows(task, int(block.seqs[gaps[0]]), expected + int(gaps[0]))
+                    expected = int(block.seqs[-1])
+                    yield block
+                if event is not None:
+                    expected = _follows(task, event.seq, expected)
+                    yield event
 
     def page(self, task: str, after: int, limit: int, most_bytes: int) -> tuple[list[dict[str, Any]], int | None]:
         """Trials past a log position as wire maps with their present costs, and where to go on (None at the end)."""

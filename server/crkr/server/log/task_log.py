@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, Protocol
 from uuid import UUID
 
+from crkr.learner import TrialColumns
 from crkr.protocol import Conflict, TaskSpec
 from crkr.server.log.entries import Event, LoggedTrial, PendingReport, Stored
 
@@ -33,6 +34,10 @@ class LogReader(Protocol):
 
     def read(self, task: str, after: int = 0) -> Iterator[LoggedTrial | Event]:
         """All entries past a log position, in order, checked against their digests."""
+        ...
+
+    def blocks(self, task: str, dimensions: int, outputs: int, upto: int) -> Iterator[TrialColumns | Event]:
+        """The entries up to a log position as `read` gives them, neighbouring trials together; many times quicker."""
         ...
 
     def page(self, task: str, after: int, limit: int, most_bytes: int) -> tuple[list[dict[str, Any]], int | None]:

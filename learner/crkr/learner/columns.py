@@ -1,0 +1,52 @@
+"""Many trials at once, as columns: what a log reads quicker than trial by trial."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from crkr.learner.anms_batch import Indices
+from crkr.protocol import Array, Invalid
+
+__all__ = ["TrialColumns"]
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class TrialColumns:
+    """n trials that were checked when they were first reported, in the order of the log.
+
+    Attributes:
+        seqs: (n,) log positions, ascending.
+        ids: 16 n bytes.
+        digests: 16 n bytes, as `Trial.digest` gives them.
+        states: (n, d) [units of the state].
+        goals: (n, p) [units of the goal].
+        costs: (n,) as reported, NaN where there is none.
+        kinds: (n,) positions in `KINDS`.
+        success: (n,) flags.
+
+    Raises:
+        Invalid: Columns of different lengths.
+    """
+
+    seqs: Indices
+    ids: bytes
+    digests: bytes
+    states: Array
+    goals: Array
+    costs: Array
+    kinds: NDArray[np.uint8]
+    success: NDArray[np.bool_]
+
+    def __post_init__(self) -> None:
+        lengths: list[float] = [len(one) for one in (self.states, self.goals, self.costs, self.kinds, self.success)]
+        lengths += [len(self.ids) / 16, len(self.digests) / 16]
+        if any(length != len(self.seqs) for length in lengths):
+            raise Invalid(f"columns must have one entry a trial; got {lengths} for {len(self.seqs)} log positions")
+
+    def __len__(self) -> int:
+        return len(self.seqs)

@@ -1,0 +1,51 @@
+"""Trials as columns, straight from database rows: for a restart, which reads them all."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from hashlib import blake2b
+from typing import Any, Final
+
+import numpy as np
+
+from crkr.learner import TrialColumns
+from crkr.protocol import KINDS, CrkrError, StorageError
+
+__all__ = ["BLOCK_COLUMNS", "columns_of"]
+
+BLOCK_COLUMNS: Final = "seq, id, kind, success, cost, state, goal, outcome, digest"
+
+
+def columns_of(rows: Sequence[tuple[Any, ...]], dimensions: int, outputs: int) -> TrialColumns:
+    """Reads rows of `BLOCK_COLUMNS`.
+
+    Raises:
+        StorageError: The content of one is not what was stored: it does not match its digest.
+    """
+    seqs, ids, kinds, success, costs, states, goals, outcomes, digests = zip(*rows, strict=True)
+    try:
+        numbers = np.array(costs, dtype="<f8")  # None becomes NaN
+        if max(kinds) >= len(KINDS):
+            raise ValueError(f"kind {max(kinds)} is none")
+        stored = numbers.tobytes()
+        for row, digest in enumerate(digests):
+            head = bytes((kinds[row], success[row], outcomes[row] is not None, costs[row] is not None))
+            content = head + states[row] + goals[row] + stored[8 * row : 8 * row + 8] + (outcomes[row] or b"")
+            if blake2b(content, digest_size=16).digest() != digest:
+                raise StorageError(f"the trial at log position {seqs[row]} does not match its digest; restore a backup")
+        return TrialColumns(
+            seqs=np.array(seqs, dtype=np.int64),
+            ids=b"".join(ids),
+            digests=b"".join(digests),
+            states=np.frombuffer(b"".join(states), "<f8").reshape(-1, dimensions),
+            goals=np.frombuffer(b"".join(goals), "<f8").reshape(-1, outputs),
+            costs=numbers,
+            kinds=np.array(kinds, dtype=np.uint8),
+            success=np.array(success, dtype=np.bool_),
+        )
+    except StorageError:
+        raise
+    except (ValueError, TypeError, OverflowError, CrkrError) as error:
+        raise StorageError(
+            f"trials at log positions {seqs[0]} to {seqs[-1]} are damaged: {error}; restore a backup"
+        ) from error

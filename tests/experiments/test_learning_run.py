@@ -22,15 +22,24 @@ def analytic() -> TableTennis:
 def test_the_same_seed_gives_the_same_run_and_another_seed_another(analytic: TableTennis) -> None:
     first = learn_once(analytic, COURSE, 3)
     fresh = TableTennis(SkillOptions(environment="analytic"), traces=False)
-    assert learn_once(fresh, COURSE, 3) == first
+    assert learn_once(fresh, COURSE, 3) == first  # digest of all trials included
     other = learn_once(analytic, COURSE, 4)
     assert (other.training, other.final) != (first.training, first.final)
+
+
+def test_a_whole_run_in_contact_repeats_bitwise() -> None:
+    course = Course(trials=60, contexts=1, judge=5, demonstrations=5, watch=False)
+    runs = [learn_once(TableTennis(SkillOptions(seed=9), traces=False), course, 9) for _ in range(2)]
+    assert runs[0].digest == runs[1].digest
+    assert runs[0].training == runs[1].training
+    assert len(runs[0].training) > 1
 
 
 def test_watching_a_run_changes_nothing_else(analytic: TableTennis) -> None:
     plain = learn_once(analytic, COURSE, 3)
     watched = learn_once(analytic, replace(COURSE, watch=True), 3)
     assert (watched.final, watched.training) == (plain.final, plain.training)
+    assert watched.digest == plain.digest
     assert [score.trials for score in watched.curve] == [0, 25, 40]
 
 
@@ -51,7 +60,7 @@ def test_a_mean_comes_with_students_interval() -> None:
 
 def test_a_summary_names_the_worst_run() -> None:
     runs = [
-        LearningRun(seed, Score(10, 100, {"strict": won, "paper": 100}, {}), (), {})
+        LearningRun(seed, Score(10, 100, {"strict": won, "paper": 100}, {}), (), {}, "")
         for seed, won in [(7, 95), (8, 91), (9, 97)]
     ]
     summary = summarise(runs, "strict", 0.98)

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Final, final
+from hashlib import sha256
+from typing import Final, Protocol, final
 from uuid import UUID
 
 import numpy as np
@@ -74,12 +75,22 @@ class LearningRun:
         final: The judgement after the last trial.
         curve: Scores on fewer contexts on the way, the last one after the last trial; empty if not watched.
         training: How the training trials ended, by the skill's words.
+        digest: SHA-256 over every training trial's state, goal and cost: equal for runs that are bitwise the same.
     """
 
     seed: int
     final: Score
     curve: tuple[Score, ...]
     training: dict[str, int]
+    digest: str
+
+
+class Digest(Protocol):
+    """What hashlib makes."""
+
+    def update(self, data: bytes, /) -> None:
+        """Takes in more bytes."""
+        ...
 
 
 def learn_once(skill: Skill, course: Course, seed: int) -> LearningRun:
@@ -91,25 +102,27 @@ def learn_once(skill: Skill, course: Course, seed: int) -> LearningRun:
             outcome=shown.result.outcome,
         )  # fmt: skip
     rng, training, curve = training_rng(seed, 1), Counter[str](), []
+    digest = sha256()
     for trial in range(course.trials):
         if course.watch and trial in MARKS:
             curve.append(_judge(skill, learner, trial, WATCHED, lambda ball: evaluation_rng(seed, ball)))
         trial_id = training_id(
             learner.spec.name, seed, 1, trial + 1
         )  # as a worker's: what is asked between is no matter
-        training[_try(skill, learner, rng, trial_id)] += 1
+        training[_try(skill, learner, rng, trial_id, digest)] += 1
     if course.watch:
         curve.append(_judge(skill, learner, course.trials, WATCHED, lambda ball: evaluation_rng(seed, ball)))
     final = _judge(skill, learner, course.trials, course.contexts, lambda ball: fresh_rng(course.judge, ball))
-    return LearningRun(seed, final, tuple(curve), dict(training.most_common()))
+    return LearningRun(seed, final, tuple(curve), dict(training.most_common()), digest.hexdigest())
 
 
-def _try(skill: Skill, learner: Learner, rng: np.random.Generator, trial_id: UUID) -> str:
+def _try(skill: Skill, learner: Learner, rng: np.random.Generator, trial_id: UUID, digest: Digest) -> str:
     """One training trial; how it ended."""
     answer = learner.predict(skill.reset(rng), explore=True, trial_ids=trial_id)
     result = skill.execute(answer.goals)
     kind = "trial" if result.executed else "failed"
     success = result.success and result.executed
+    digest.update(np.array([*answer.states, *answer.goals, np.nan if result.cost is None else result.cost]).tobytes())
     learner.report(answer, cost=result.cost, success=success, kind=kind, outcome=result.outcome)
     return str(result.info.get("reason", "success" if success else "failure"))
 

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing
 from itertools import count
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -22,6 +22,8 @@ from crkr.client.options import Json
 from crkr.client.task import Task
 
 __all__ = ["report"]
+
+_WARM: Final = 500  # commits, after which the write-ahead log no longer grows: a file that grows is slower to sync
 
 
 def report(as_json: Json = False) -> None:
@@ -86,6 +88,9 @@ def _bare_log(directory: Path) -> sqlite3.Connection:
     for (statement,) in tables:
         bare.execute(statement)
     bare.executemany(_insert(bare), rows)
+    commit = _committing(bare)
+    for _ in range(_WARM):
+        commit()
     return bare
 
 
@@ -103,7 +108,7 @@ def _committing(log: sqlite3.Connection) -> Callable[[], None]:
     statement = _insert(log)
     names = [row[1] for row in log.execute("PRAGMA table_info(trial)")]
     row = list(log.execute("SELECT * FROM trial ORDER BY seq DESC LIMIT 1").fetchone())
-    numbers = count(10**7)
+    numbers = count(1 + max(row[0] for row in log.execute("SELECT max(seq) FROM trial")))
 
     def commit() -> None:
         number = next(numbers)

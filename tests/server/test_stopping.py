@@ -1,0 +1,122 @@
+"""How a server ends: it says so to whoever asks meanwhile, and no signal is lost on the way."""
+
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+import zenoh
+
+from crkr.protocol import task_key
+from crkr.server.intake import Intake
+from crkr.server.lane import Lane
+from crkr.server.latency import Latencies
+from crkr.server.request import Request
+from crkr.server.session import open_session
+
+Ask = Callable[..., dict[str, Any]]
+
+
+@pytest.fixture
+def router(free_port: int) -> Iterator[tuple[zenoh.Session, str]]:
+    endpoint = f"tcp/127.0.0.1:{free_port}"
+    with open_session(endpoint, None) as session:
+        yield session, endpoint
+
+
+def fails(requests: list[Request]) -> None:
+    raise ZeroDivisionError("a defect")
+
+
+def test_what_comes_after_the_order_to_stop_is_told_so(
+    router: tuple[zenoh.Session, str], connect: Callable[[str], Ask]
+) -> None:
+    session, endpoint = router
+    intake = Intake(session, task_key("*", "*"), {}, Latencies(), fails)
+    intake.start()
+    intake.stop()
+    for verb in ("predict", "report", "dance"):
+        error = connect(endpoint)(f"task/reach/rpc/{verb}")["error"]
+        assert error["code"] == "SHUTTING_DOWN"
+        assert error["retry_ms"] > 0
+
+
+def test_what_still_waits_when_the_patience_ends_is_told_so(
+    router: tuple[zenoh.Session, str], connect: Callable[[str], Ask]
+) -> None:
+    session, endpoint = router
+    working, go_on = threading.Event(), threading.Event()
+
+    def work(requests: list[Request]) -> None:
+        working.set()
+        go_on.wait(10)
+        for request in requests:
+            request.reply({"done": True})
+
+    lane: Lane[Request] = Lane("slow", {"samples": 10}, work)
+    intake = Intake(session, task_key("*", "*"), {"samples": lane}, Latencies())
+    lane.start()
+    intake.start()
+    answers: list[dict[str, Any]] = []
+    asking = [
+        threading.Thread(target=lambda: answers.append(connect(endpoint)("task/reach/rpc/samples"))) for _ in range(3)
+    ]
+    for thread in asking:
+        thread.start()
+    assert working.wait(10)
+    while lane.depths()["samples"]["waiting"] < 2:
+        pass  # the pytest timeout is the deadline
+    lane.close(0.05)
+    go_on.set()
+    for thread in asking:
+        thread.join(10)
+    assert sorted("done" if "done" in answer else answer["error"]["code"] for answer in answers) == [
+        "SHUTTING_DOWN",
+        "SHUTTING_DOWN",
+        "done",
+    ]
+
+
+@pytest.mark.parametrize("verb", ["predict", "samples"])
+def test_a_defect_is_answered_as_internal_and_the_server_goes_on(
+    router: tuple[zenoh.Session, str], connect: Callable[[str], Ask], verb: str
+) -> None:
+    session, endpoint = router
+    lane: Lane[Request] = Lane("broken", {"samples": 10}, fails)
+    intake = Intake(session, task_key("*", "*"), {"samples": lane}, Latencies(), fails)
+    lane.start()
+    intake.start()
+    ask = connect(endpoint)
+    for _ in range(2):
+        error = ask(f"task/reach/rpc/{verb}")["error"]
+        assert error["code"] == "INTERNAL"
+        assert "ZeroDivisionError" in error["message"]
+    lane.close(1.0)
+
+
+def test_a_signal_right_after_the_start_ends_the_server(free_port: int, tmp_path: Any) -> None:
+    command = [sys.executable, "-m", "crkr.client", "server", "--data", str(tmp_path / "data")]
+    for number in (signal.SIGTERM, signal.SIGINT):
+        listen = ["--listen", f"tcp/127.0.0.1:{free_port}"]
+        with subprocess.Popen([*command, *listen], stderr=subprocess.PIPE, text=True) as process:
+            assert process.stderr is not None
+            assert "listening on" in process.stderr.readline()
+            process.send_signal(number)
+            assert process.wait(timeout=5) == 0
+
+
+def test_a_signal_before_the_wait_is_not_lost_nor_one_in_it() -> None:
+    script = """
+import os, signal, threading
+from crkr.server.command import _stop_signal
+for number in (signal.SIGTERM, signal.SIGINT):
+    told = _stop_signal()
+    os.kill(os.getpid(), number)
+    assert told.recv(1)
+    threading.Timer(0.1, os.kill, (os.getpid(), number)).start()
+    assert told.recv(1)
+"""
+    subprocess.run([sys.executable, "-c", script], check=True, timeout=20)

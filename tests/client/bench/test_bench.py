@@ -1,0 +1,81 @@
+"""The parts of `crkr bench` measure what they say, on real processes; how fast those are is not tested here."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from crkr.client.bench import workload
+from crkr.client.bench.bare import Bare
+from crkr.client.bench.echo import KEY
+from crkr.client.bench.figures import Figure, p50, p99, show
+from crkr.client.bench.processes import echoing, loading, serving
+from crkr.client.bench.restart import restart_figures
+from crkr.client.bench.timing import in_turns
+from crkr.protocol import Internal, ReportRequest, unpack
+
+
+def test_an_echo_answers_every_question_with_as_many_bytes() -> None:
+    with echoing(37) as endpoint, Bare(endpoint, KEY) as bare:
+        assert len(bare.ask(b"whatever")) == 37
+        assert bare.rate([b"x"] * 200, 64) > 0
+
+
+def test_a_load_reports_what_the_server_stores_and_only_while_it_is_told_to(tmp_path: Path) -> None:
+    with serving(tmp_path / "data") as client:
+        task = client.create_task(workload.bench_spec())
+        workload.fill(task, 40)
+        with Bare(client.endpoint, workload.key("predict")) as bare:
+            assert unpack(bare.ask(workload.predict_payload()))["active"] == 40
+            with pytest.raises(Internal, match="INVALID"):
+                bare.ask(b"\xc1")
+        with loading(client.endpoint, workload.key("report"), "report", 1, 10**9) as load:
+            assert load.stop() == (0, 0)
+            load.go()
+            while task.status()["samples"]["trial"] < 60:
+                pass  # the pytest timeout is the deadline
+            load.stop()
+        with loading(client.endpoint, workload.key("explain"), "explain", 700, 0) as flood:
+            flood.go()
+            while flood.stop()[1] == 0:
+                flood.go()
+        status = task.status()
+    assert status["samples"]["trial"] >= 60
+    assert status["active"] == 40  # what the load reports is not learned from
+
+
+def test_a_long_log_is_written_and_restarted_on(tmp_path: Path) -> None:
+    figures = list(restart_figures(tmp_path, 300))
+    assert [figure.bar for figure in figures] == [3.0, 1.1]
+    assert all(figure.value > 0 for figure in figures)
+
+
+def test_a_report_of_the_bench_is_one_the_protocol_accepts() -> None:
+    trials = [ReportRequest.from_wire(unpack(workload.report_payload(n)), workload.bench_spec()).trials for n in (1, 2)]
+    assert trials[0][0].id != trials[1][0].id
+    assert trials[0][0].state.shape == (workload.D,)
+
+
+def test_calls_are_timed_in_turns() -> None:
+    order: list[str] = []
+    found = in_turns({"a": lambda: order.append("a"), "b": lambda: order.append("b")}, 3, 2)
+    assert "".join(order) == "aabb" + "aabb" * 3
+    assert {name: len(times) for name, times in found.items()} == {"a": 6, "b": 6}
+    assert p50(np.array([1e-6, 2e-6, 9e-6], dtype=np.float64)) == pytest.approx(2.0)
+    assert p99(np.linspace(0.0, 1e-3, 101)) == pytest.approx(990.0)
+
+
+def test_a_figure_is_judged_by_its_bar(capsys: pytest.CaptureFixture[str]) -> None:
+    figures = [
+        Figure("quick", 1.0, 1.15, False, {"us": 150.0}),
+        Figure("slow", 1.2, 1.15, False, {"us": 180.0}),
+        Figure("rate", 0.7, 0.6, True, {}),
+        Figure("shown", 9.0, None, False, {}),
+    ]
+    assert [figure.reached for figure in figures] == [True, False, True, True]
+    show(figures, "title", False)
+    lines = capsys.readouterr().out.splitlines()
+    assert "<= 1.15" in lines[2]
+    assert "NOT REACHED" in lines[3]
+    show(figures, "title", True)
+    assert '"reached": false' in capsys.readouterr().out

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 from typing import final
+from uuid import UUID
 
 import zenoh
 
@@ -26,13 +28,8 @@ class Notices:
 
     def __call__(self, task: ServedTask, before: Model, after: Model) -> None:
         """Says what changed between two models."""
-        old, new = set(before.ids), set(after.ids)
-        notice = {
-            "version": after.version,
-            "active": after.active,
-            "added": [identity for identity in after.ids if identity not in old],
-            "evicted": [identity for identity in before.ids if identity not in new],
-        }
+        added, evicted = ([], []) if after.ids is before.ids else _exchanged(before.ids, after.ids)
+        notice = {"version": after.version, "active": after.active, "added": added, "evicted": evicted}
         try:
             self._session.put(
                 pub_key(task.name, "model"),
@@ -42,3 +39,9 @@ class Notices:
             )
         except zenoh.ZError as error:  # the session is closing
             logger.debug("model notice was not sent: %s", error)
+
+
+def _exchanged(before: Sequence[UUID], after: Sequence[UUID]) -> tuple[list[UUID], list[UUID]]:
+    """Who came and who went, in the order of the log."""
+    old, new = set(before), set(after)
+    return [one for one in after if one not in old], [one for one in before if one not in new]

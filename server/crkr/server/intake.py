@@ -27,6 +27,8 @@ _CHANNEL: Final = 65536  # queries, between Zenoh and the intake thread
 _ROUND: Final = 64  # queries taken off before predictions are answered again
 _BATCH: Final = 64  # predictions answered together
 _MOST_PREDICTS: Final = 1024  # may wait; more are refused
+_REFUSALS: Final = 16  # sent together
+_MOST_REFUSED: Final = 4096  # may wait to be told so
 _SMALL: Final = 4096  # bytes; a larger predict has many states and goes to a lane of its own
 
 
@@ -49,6 +51,7 @@ class Intake:
     ) -> None:
         self._lanes, self._latencies, self._predict = lanes, latencies, predict
         self._waiting: deque[Request] = deque()
+        self._refused: deque[tuple[Request, CrkrError]] = deque()
         self._stopping = False
         self._queries = session.declare_queryable(key, zenoh.handlers.FifoChannel(_CHANNEL), complete=True)
         self._thread = threading.Thread(target=self._run, name=f"intake {key}", daemon=True)
@@ -69,20 +72,30 @@ class Intake:
     def _run(self) -> None:
         try:
             while True:
-                if not self._waiting:
+                if not self._waiting and not self._refused:
                     self._route(self._queries.recv())
-                self._drain()
+                all_taken = self._drain()
                 self._answer()
+                if all_taken or len(self._refused) > _MOST_REFUSED:
+                    self._refuse()
         except zenoh.ZError:  # the session is closed
             for request in self._waiting:
                 request.fail(shutting_down())
 
-    def _drain(self) -> None:
+    def _drain(self) -> bool:
+        """Takes what has come; whether that was all."""
         for _ in range(_ROUND):
             query = self._queries.try_recv()
             if query is None:
-                return
+                return True
             self._route(query)
+        return False
+
+    def _refuse(self) -> None:
+        """Tells some of those who asked too much; it takes longer than taking a query, and predictions may not wait."""
+        for _ in range(min(_REFUSALS, len(self._refused))):
+            request, error = self._refused.popleft()
+            request.fail(error)
 
     def _answer(self) -> None:
         if not self._waiting or self._predict is None:
@@ -103,7 +116,9 @@ class Intake:
             elif request.verb == "predict" and self._predict is not None and request.size <= _SMALL:
                 self._wait(request)
             else:
-                self._lane(request).offer(request)
+                refusal = self._lane(request).offer(request)
+                if refusal is not None:
+                    self._refused.append((request, refusal))
         except CrkrError as error:
             refuse(query, error)
         except Exception:

@@ -8,7 +8,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Mapping
 from typing import Any, Final, Generic, TypeVar, final
 
-from crkr.protocol import Busy, ShuttingDown
+from crkr.protocol import Busy, CrkrError, ShuttingDown
 from crkr.server.request import Job
 
 __all__ = ["Lane", "shutting_down"]
@@ -32,7 +32,7 @@ class Lane(Generic[_Job]):
 
     Args:
         name: Of the thread.
-        limits: verb -> how many may wait; one more is refused with `Busy` at once.
+        limits: verb -> how many may wait; one more is refused with `Busy`.
         work: Answers a batch; what it leaves unanswered by raising is answered by the lane.
         most: Largest batch. Batches are what is waiting; nothing waits for a batch to fill.
     """
@@ -50,8 +50,8 @@ class Lane(Generic[_Job]):
         """Begins to work."""
         self._thread.start()
 
-    def offer(self, request: _Job) -> None:
-        """Queues a request, or refuses it at once."""
+    def offer(self, request: _Job) -> CrkrError | None:
+        """Queues a request, or says why not; then the caller answers it."""
         limit = self._limits[request.verb]
         with self._changed:
             full = self._waiting[request.verb] >= limit or (self._queue and self._bytes + request.size > _MOST_BYTES)
@@ -60,8 +60,8 @@ class Lane(Generic[_Job]):
                 self._bytes += request.size
                 self._queue.append(request)
                 self._changed.notify()
-                return
-        request.fail(busy(request.verb) if full else shutting_down())
+                return None
+        return busy(request.verb) if full else shutting_down()
 
     def depths(self) -> dict[str, Any]:
         """Verb -> how many wait and how many may."""

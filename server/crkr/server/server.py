@@ -134,7 +134,9 @@ class Server:
         due = self._due.get(task.name)
         if due is None or due.answered:
             self._due[task.name] = DueFit(task.name)
-            self._refit_lane.offer(self._due[task.name])
+            refusal = self._refit_lane.offer(self._due[task.name])
+            if refusal is not None:
+                self._due[task.name].fail(refusal)
 
     def _learned(self, task: ServedTask, before: Model, after: Model) -> None:
         """Called by learning for every new model."""

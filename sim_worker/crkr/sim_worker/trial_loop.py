@@ -94,14 +94,18 @@ class TrialLoop:
         """
         while True:
             try:
-                return self._run_one()
+                trial = self._run_one()
             except Conflict:
-                # Another launcher was started with the same seed at the same log position.
-                self._seed = unpredictable_seed()
-                self._rng = training_rng(self._seed, self._identity.first_seq)
-                logger.warning("another worker uses this seed; %s draws a new one", self._identity.worker)
+                trial = None
+            if trial is not None:
+                return trial
+            # Another launcher was started with the same seed at the same log position.
+            self._seed = unpredictable_seed()
+            self._rng = training_rng(self._seed, self._identity.first_seq)
+            logger.warning("another worker uses this seed; %s draws a new one", self._identity.worker)
 
-    def _run_one(self) -> Trial:
+    def _run_one(self) -> Trial | None:
+        """One trial; None where another worker has stored the same one."""
         self._count += 1
         trial_id = training_id(self._task.name, self._seed, self._identity.first_seq, self._count)
         state = self._skill.reset(self._rng)
@@ -114,9 +118,17 @@ class TrialLoop:
         executed = time.monotonic()
         trial = tried(self._task, answer, result, self._identity.worker)
         receipt = self._orders.insist(lambda: self._task.report_trials([trial], wait=self._wait))
+        if not (receipt.accepted or self._is_mine(trial, receipt)):
+            return None
         timing = _timing(started, predicted, executed, time.monotonic())
         self._show(trial, receipt, answer, result, timing)
         return trial
+
+    def _is_mine(self, trial: Trial, receipt: Receipt) -> bool:
+        """Whether a duplicate is this worker's own, stored by an attempt whose answer was lost; the log names who."""
+        before = receipt.seqs[0] - 1
+        page, _ = self._orders.insist(lambda: self._task.samples(before, 1))
+        return any(stored.trial.id == trial.id and stored.trial.worker == trial.worker for stored in page)
 
     def _show(self, trial: Trial, receipt: Receipt, answer: Prediction, result: Outcome, timing: Timing) -> None:
         self._telemetry.publish(

@@ -158,3 +158,22 @@ def test_the_same_calls_give_the_same_bits(make_spec: MakeSpec, taught: Teach, f
     ours, theirs = first.predict(states, explore=True), second.predict(states, explore=True)
     assert ours.trial_ids == theirs.trial_ids
     assert ours.goals.tobytes() == theirs.goals.tobytes()
+
+
+def test_trials_replayed_in_bulk_count_towards_the_next_fit() -> None:
+    spec = TaskSpec.from_dict(
+        {
+            "name": "t",
+            "state": [{"name": "x", "low": 0, "high": 1}],
+            "goal": [{"name": "g", "low": 0, "high": 1}],
+            "refit_every": 40,
+        }
+    )
+    states = np.linspace(0, 1, 45)[:, None]
+    trials = make_trials(spec, state=states, goal=states, cost=0.5, success=True)
+    live, restarted = Learner(spec), Learner(spec)
+    live.apply_trials(range(2, 47), trials)
+    with restarted.bulk(None):
+        restarted.apply_trials(range(2, 47), trials)
+    assert live.refit_due
+    assert restarted.refit_due

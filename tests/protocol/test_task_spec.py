@@ -71,7 +71,7 @@ settings = st.fixed_dictionaries(
         "description": st.text(max_size=20),
         "seed": st.integers(0, 2**62),
         "budget": st.integers(1, 100_000),
-        "regularisation": st.floats(1e-9, 1e9),
+        "regularisation": st.floats(1e-9, 1e6),
         "cost_map": st.sampled_from(["linear", "odds"]),
         "noise_floor": st.floats(1e-12, 1.0),
         "learn_from": st.sampled_from(["successes", "all"]),
@@ -122,7 +122,7 @@ BAD: list[tuple[dict[str, Any], str]] = [
     ({"state": [5]}, r"state\[0\] must be a map"),
     ({"state": "x"}, "must be a list"),
     ({"goal": [{"name": "g", "low": 2, "high": 1}]}, "low <= high"),
-    ({"goal": [{"name": "g", "low": 1, "high": 1}]}, "scale"),
+    ({"goal": [{"name": "g", "low": 1, "high": 1, "scale": 0}]}, "scale"),
     ({"outcome": [{"name": "o"}]}, "'tolerance' is required"),
     ({"outcome": [{"name": "o", "tolerance": 0}]}, "tolerance"),
     ({"budget": 0}, "budget"),
@@ -135,6 +135,7 @@ BAD: list[tuple[dict[str, Any], str]] = [
     ({"cost_map": "cubic"}, "'linear', 'odds'"),
     ({"selector": None}, "'anms', 'full', 'freeze'"),
     ({"kernel": {"type": "rbf"}}, "se-ard"),
+    ({"kernel": {"linear_weight": 1e308}}, "linear_weight"),
     ({"kernel": 5}, "kernel must be a map"),
     ({"exploration": {"temperature": []}}, "temperature"),
     ({"exploration": "gaussian"}, "exploration must be a map"),
@@ -147,6 +148,11 @@ BAD: list[tuple[dict[str, Any], str]] = [
 def test_a_bad_field_is_refused_by_name(change: dict[str, Any], message: str) -> None:
     with pytest.raises(Invalid, match=message):
         TaskSpec.from_dict({**THROW, **change})
+
+
+def test_a_goal_of_one_value_only_needs_no_scale() -> None:
+    spec = TaskSpec.from_dict({**THROW, "goal": [{"name": "g", "low": 1, "high": 1}]})
+    assert spec.goal[0].scale > 0
 
 
 @pytest.mark.parametrize("missing", ["name", "state", "goal"])

@@ -71,9 +71,9 @@ class Knowledge:
             raise Conflict(f"trials to apply must be new; known already: {known[:3] or 'an id comes twice'}")
         rows = np.array([self.store.append(seq, trial) for seq, trial in zip(seqs, trials, strict=True)])
         self.version = seqs[-1]
+        eligible = rows[self.store.eligible(rows, self.spec.learn_from)]
+        self.since_fit += len(eligible)
         if not self._deferred:
-            eligible = rows[self.store.eligible(rows, self.spec.learn_from)]
-            self.since_fit += len(eligible)
             self.selection.extend(eligible)
             self._refresh(any(self.store.is_demonstration(row) for row in rows))
 
@@ -90,9 +90,12 @@ class Knowledge:
             return
         if (np.diff(columns.seqs, prepend=self.version) <= 0).any():
             raise Invalid(f"seqs must ascend from above {self.version}; got {columns.seqs[:5].tolist()}")
+        first = len(self.store)
         known = self.store.extend(columns)
         if known is not None:
             raise Conflict(f"trials to apply must be new; log position {int(self.store.seqs[known])} repeats an id")
+        rows = np.arange(first, len(self.store))
+        self.since_fit += int(np.count_nonzero(self.store.eligible(rows, self.spec.learn_from)))
         self.version = int(columns.seqs[-1])
 
     def apply_recost(self, seq: int, ids: Sequence[UUID | bytes], costs: object) -> int:

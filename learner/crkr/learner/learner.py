@@ -16,7 +16,7 @@ from crkr.learner.evidence import FitProblem, FitResult, fit
 from crkr.learner.explain import explain
 from crkr.learner.first_come import FirstCome
 from crkr.learner.knowledge import Knowledge
-from crkr.learner.model import Model, checked_states
+from crkr.learner.model import Model
 from crkr.learner.review import Review, review
 from crkr.learner.selection import RadiiCache
 from crkr.learner.selector import SelectorFactory
@@ -29,6 +29,7 @@ from crkr.protocol import (
     TaskSpec,
     Trial,
     Unsupported,
+    check_states,
     id_from_wire,
     make_trials,
 )
@@ -110,7 +111,7 @@ class Learner:
         program that repeats its calls gets the same ids.
         """
         if trial_ids is None:
-            checked = checked_states(states, len(self.spec.state))
+            checked = check_states(states, len(self.spec.state))
             count = 1 if checked.ndim == 1 else len(checked)
             ids = draw_ids(f"crkr/{self.spec.name}/predict/{self.version}/{self._asked}", count)
             answer = self.model.answer(checked, explore, ids)

@@ -14,11 +14,11 @@ from crkr.learner.draws import uniforms
 from crkr.learner.parameters import Parameters
 from crkr.learner.regression import Regression
 from crkr.learner.truncated_normal import truncated_normal
-from crkr.protocol import Array, Invalid, NoSamples, NovelState, Prediction, id_from_wire
-from crkr.protocol.checks import depth, finite_array
+from crkr.protocol import Array, Invalid, NoSamples, NovelState, Prediction, check_states, id_from_wire
+from crkr.protocol.checks import finite_array
 from crkr.protocol.codec import array_from_wire
 
-__all__ = ["Model", "checked_states"]
+__all__ = ["Model"]
 
 
 @final
@@ -101,7 +101,7 @@ class Model:
             NoSamples: No sample is active.
             NovelState: A state is more novel than the task allows.
         """
-        checked = checked_states(states, len(self.parameters.kernel.centre))
+        checked = check_states(states, len(self.parameters.kernel.centre))
         count = 1 if checked.ndim == 1 else len(checked)
         return self.answer(checked, explore, _checked_ids(trial_ids, count, explore))
 
@@ -171,20 +171,6 @@ def _refuse_novel(novelty: Array, limit: float, task: str) -> None:
             f"state {index} has novelty {worst:.3f}; task {task!r} refuses above {limit}",
             details={"index": index, "novelty": worst, "limit": limit},
         )
-
-
-def checked_states(states: object, dimensions: int) -> Array:
-    """A read-only float64 copy (d,) or (b, d), or `Invalid`; one state of the right form takes no full check."""
-    if isinstance(states, np.ndarray) and states.shape == (dimensions,) and states.dtype == np.float64:
-        copy: Array = states.copy()
-        copy.setflags(write=False)
-        if math.isfinite(copy.dot(copy)):
-            return copy
-    batch = depth(states, "states") == 2
-    checked = finite_array(states, "states", (None, dimensions) if batch else (dimensions,))
-    if not checked.size:
-        raise Invalid("states must hold at least one state; got none", details={"field": "states"})
-    return checked
 
 
 def _checked_ids(given: Sequence[UUID | bytes] | UUID | bytes | None, count: int, needed: bool) -> list[UUID]:

@@ -50,7 +50,7 @@ class Selection:
         self._store = store
         self._selector: Selector = factory(len(spec.state), spec.budget)
         self._rows = Growable(np.int32)
-        self._numbers = self._selector.active
+        self._numbers: Indices | None = self._selector.active
         self.active: Indices = self._numbers.astype(np.int64)
 
     def extend(self, rows: Indices) -> None:
@@ -86,6 +86,7 @@ class Selection:
             radii = Radii(cache.squared, cache.suppressors)
         self._rows.replace(rows)
         self._selector.rebuild(self._standardised(rows), self._store.costs[rows], radii)
+        self._numbers = None  # the same numbers may stand for other rows now
         self._update()
 
     def standing(self, row: int) -> tuple[int | None, float | None]:

@@ -96,7 +96,7 @@ def number(
     except OverflowError:  # a whole number beyond all floats
         result = math.inf
     if not math.isfinite(result) or not low <= result <= high or (above is not None and result <= above):
-        wanted = f"above {above}" if above is not None else f"in [{low}, {high}]"
+        wanted = f"in [{low}, {high}]" if above is None else f"above {above}, at most {high}"
         raise Invalid(f"{name} must be a finite number {wanted}; got {value!r:.80}", details={"field": name})
     return result
 

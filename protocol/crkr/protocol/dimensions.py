@@ -65,7 +65,7 @@ class GoalDimension:
         unit: Unit of the values, e.g. "rad".
         low: Smallest goal allowed [unit].
         high: Largest goal allowed [unit].
-        scale: Size of a usual difference between good goals [unit]; (high - low) / 4 unless given.
+        scale: Size of a usual difference between good goals [unit]; (high - low) / 4 unless given, 1 if they are equal.
     """
 
     name: str
@@ -81,7 +81,8 @@ class GoalDimension:
         low, high = _box(entry, where)
         if low > high:
             raise Invalid(f"{where} ({name}) needs low <= high; got [{low}, {high}]")
-        scale = number(entry.get("scale", (high - low) / 4), f"{where}.scale", above=0.0)
+        usual = (high - low) / 4 or 1.0  # one value only: nothing to scale by
+        scale = number(entry.get("scale", usual), f"{where}.scale", above=0.0)
         return cls(name, unit, low, high, scale)
 
 

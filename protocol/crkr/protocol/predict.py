@@ -27,7 +27,7 @@ def check_states(value: object, dimensions: int) -> Array:
     batch = depth(value, "states") == 2
     states = finite_array(value, "states", (None, dimensions) if batch else (dimensions,))
     if batch and not 1 <= len(states) <= MAX_STATES:
-        raise Invalid(f"states must be 1 to {MAX_STATES} in one message; got {len(states)}")
+        raise Invalid(f"states must be 1 to {MAX_STATES} at once; got {len(states)}")
     return states
 
 

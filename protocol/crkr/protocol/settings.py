@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, final
+from typing import Any, Final, final
 
 from crkr.protocol.checks import choice, integer, number
 from crkr.protocol.errors import Invalid
 
-__all__ = ["Exploration", "KernelSettings"]
+__all__ = ["LARGEST", "Exploration", "KernelSettings"]
+
+LARGEST: Final = 1e6  # of a setting in scaled units: beyond, products overflow and answers stop being numbers
 
 
 def _map(value: object, name: str) -> Mapping[str, Any]:
@@ -39,8 +41,8 @@ class KernelSettings:
         entry = _map(value, "kernel")
         return cls(
             choice(entry.get("type", "se-ard"), "kernel.type", ("se-ard",)),
-            number(entry.get("signal_variance", 1.0), "kernel.signal_variance", above=0.0),
-            number(entry.get("linear_weight", 0.0), "kernel.linear_weight", low=0.0),
+            number(entry.get("signal_variance", 1.0), "kernel.signal_variance", above=0.0, high=LARGEST),
+            number(entry.get("linear_weight", 0.0), "kernel.linear_weight", low=0.0, high=LARGEST),
         )
 
 

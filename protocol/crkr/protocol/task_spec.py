@@ -15,7 +15,7 @@ from crkr.protocol.codec import Array
 from crkr.protocol.dimensions import GoalDimension, OutcomeEntry, StateDimension
 from crkr.protocol.errors import Invalid
 from crkr.protocol.keys import check_name
-from crkr.protocol.settings import Exploration, KernelSettings
+from crkr.protocol.settings import LARGEST, Exploration, KernelSettings
 
 __all__ = ["CHANGEABLE", "TaskSpec"]
 
@@ -191,13 +191,13 @@ _SCALARS: Final[Mapping[str, Callable[[object], Any]]] = {
     "seed": lambda value: integer(value, "seed"),
     "kernel": KernelSettings.from_dict,
     "budget": lambda value: integer(value, "budget", low=1, high=100_000),
-    "regularisation": lambda value: number(value, "regularisation", above=0.0),
+    "regularisation": lambda value: number(value, "regularisation", above=0.0, high=LARGEST),
     "cost_map": lambda value: choice(value, "cost_map", ("linear", "odds")),
-    "noise_floor": lambda value: number(value, "noise_floor", above=0.0),
+    "noise_floor": lambda value: number(value, "noise_floor", above=0.0, high=LARGEST),
     "learn_from": lambda value: choice(value, "learn_from", ("successes", "all")),
     "prior_mean": lambda value: choice(value, "prior_mean", ("zero", "demonstrations")),
-    "explore_scale": lambda value: number(value, "explore_scale", low=0.0),
-    "exploration_floor": lambda value: number(value, "exploration_floor", low=0.0),
+    "explore_scale": lambda value: number(value, "explore_scale", low=0.0, high=LARGEST),
+    "exploration_floor": lambda value: number(value, "exploration_floor", low=0.0, high=LARGEST),
     "novel": lambda value: choice(value, "novel", ("predict", "refuse")),
     "novelty_limit": lambda value: number(value, "novelty_limit", low=0.0, high=1.0),
     "selector": lambda value: choice(value, "selector", ("anms", "full", "freeze")),

@@ -40,9 +40,10 @@ CANDIDATES: Final = (
     (-1.60, 0.64),
     (-1.40, 0.70),
     (-1.52, 0.70),
-    (-1.68, 0.66),
     (-1.32, 0.64),
 )
+# Slow balls that drop behind the table are met early, above it: another kind of stroke, not one to demonstrate.
+EARLY: Final = (-1.14, 0.60)
 LONGEST: Final = 1.0  # of the prediction [s]
 LOWEST: Final = TABLE_HEIGHT + 0.06  # a ball below this cannot be hit [m]
 NET_MARGIN: Final = 0.03  # [m]
@@ -69,15 +70,16 @@ class Planner:
         self._arm = arm
         self._predictor = predictor
 
-    def goals(self, ball: Floats, aim: tuple[float, float] = AIM) -> Iterator[Floats]:
+    def goals(self, ball: Floats, aim: tuple[float, float] = AIM, *, early: bool = False) -> Iterator[Floats]:
         """Goals (13,) that return a ball, best first, at most ten; whether a swing can get there is not checked.
 
         Args:
             ball: Position [m] and velocity [m/s] at the snapshot.
             aim: Where the return should land [m].
+            early: Whether to end with a stroke above the table.
         """
         path = self._predictor.path(ball, LONGEST)
-        for plane, duration in CANDIDATES:
+        for plane, duration in (*CANDIDATES, EARLY) if early else CANDIDATES:
             row = int(np.argmax(path[:, 0] <= plane))
             if row == 0 or path[row, 2] < LOWEST:
                 continue

@@ -145,14 +145,14 @@ class TableTennis:
 
     def best_plan(self, ball: Floats) -> dict[str, bool]:
         """Whether some plan for `ball` (6,) succeeds, by each criterion."""
-        tried = [outcome.info["outcomes"] for _, outcome in self._plans(ball)]
+        tried = [outcome.info["outcomes"] for _, outcome in self._plans(ball, early=True)]
         return {criterion: any(outcomes[criterion] for outcomes in tried) for criterion in CRITERIA.values()}
 
-    def _plans(self, ball: Floats) -> Iterator[tuple[Floats, Outcome]]:
+    def _plans(self, ball: Floats, *, early: bool = False) -> Iterator[tuple[Floats, Outcome]]:
         """The planner's goals for `ball` with their outcomes, up to the first strict success."""
         if self._planner is None:
             self._planner = Planner(self._arm, make_predictor(self._name, magnus=self._magnus))
-        for goal in self._planner.goals(ball):
+        for goal in self._planner.goals(ball, early=early):
             outcome = self.attempt(ball, goal)
             yield goal, outcome
             if outcome.info["outcomes"]["strict"]:

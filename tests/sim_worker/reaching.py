@@ -73,5 +73,16 @@ def right_goal(state: Floats) -> Floats:
     return np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]]) @ state
 
 
+class Unmoved(Reaching):
+    """Executes nothing, so that the model stays what the demonstrations made it."""
+
+    def execute(self, goal: Floats) -> Outcome:
+        return Outcome(None, False, False, None, {"reason": "out of reach"}, None)
+
+
 def make(options: SkillOptions) -> Reaching:
     return Reaching(options)
+
+
+def make_unmoved(options: SkillOptions) -> Reaching:
+    return Unmoved(options)

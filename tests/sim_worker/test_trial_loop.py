@@ -27,14 +27,10 @@ def orders() -> Iterator[Orders]:
         yield Orders(Line(ours), 5.0)
 
 
-def loop(task: Task, orders: Orders, worker: str) -> TrialLoop:
-    skill = load_skill("reaching:make", SkillOptions(name=task.name))
-    return TrialLoop(task, skill, Identity(worker, SEED, FIRST_SEQ), orders, Telemetry(task, ()), wait=True)
-
-
 def first_trial(task: Task, orders: Orders, worker: str) -> Trial:
-    """The first trial of a worker, which it stores."""
-    return loop(task, orders, worker).run_one()
+    """The first trial of a worker, which it stores; the model learns nothing from it, so that goals stay the same."""
+    skill = load_skill("reaching:make_unmoved", SkillOptions(name=task.name))
+    return TrialLoop(task, skill, Identity(worker, SEED, FIRST_SEQ), orders, Telemetry(task, ())).run_one()
 
 
 @pytest.fixture

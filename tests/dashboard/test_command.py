@@ -15,6 +15,7 @@ import pytest
 from crkr.client import Task
 
 Watch = Callable[..., subprocess.Popen[str]]
+PATIENCE_S = 60.0  # no promise, just no hang
 
 
 @pytest.fixture
@@ -100,6 +101,16 @@ def test_a_server_that_does_not_come_is_one_line_and_a_failure(watch: Watch, fre
     assert process.returncode == 1
     assert out == ""
     assert [line.split()[0] for line in error.splitlines()] == ["waiting", "error:"]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_while_it_waits_for_a_server_ends_it(watch: Watch, free_port: int, number: signal.Signals) -> None:
+    for _ in range(3):
+        process = watch("--terminal", "--patience", "600", "--connect", f"tcp/127.0.0.1:{free_port}")
+        line_with(process.stderr, "waiting up to 600 s")
+        process.send_signal(number)
+        _, rest = process.communicate(timeout=PATIENCE_S)
+        assert (process.returncode, rest) == (0, "")
 
 
 def test_a_taken_port_that_was_asked_for_is_one_line_and_a_failure(watch: Watch) -> None:

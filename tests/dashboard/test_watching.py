@@ -1,8 +1,10 @@
 import os
 import signal
+import sys
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from types import FrameType
 from typing import Any
 
 import pytest
@@ -10,12 +12,28 @@ import pytest
 from crkr.client import Client, Task
 from crkr.dashboard import EpochResult, Feed, Progress, Row, Telemetry
 from crkr.dashboard.poller import Poller
-from crkr.dashboard.watching import follow, stopped_by_signals, wait_for_task
+from crkr.dashboard.watching import StopRequest, follow, wait_for_task
 from crkr.protocol import TaskSpec, Unavailable, UnknownTask
 
 Message = Callable[..., dict[str, Any]]
 Publish = Callable[[str, dict[str, Any]], None]
 DEADLINE_S = 60.0
+
+
+@pytest.fixture
+def alarm() -> Iterator[None]:
+    """Fails a test that hangs; works while the main thread waits for a lock."""
+
+    def ring(number: int, frame: object) -> None:
+        pytest.fail("hangs")
+
+    before = signal.signal(signal.SIGALRM, ring)
+    signal.setitimer(signal.ITIMER_REAL, DEADLINE_S)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
 
 
 class Witness:
@@ -141,8 +159,9 @@ def test_a_question_to_a_silent_server_does_not_delay_the_end(server: Any, crane
 
 def test_a_missing_server_is_waited_for_and_then_named(free_port: int) -> None:
     said: list[str] = []
-    with Client(f"tcp/127.0.0.1:{free_port}") as client, pytest.raises(Unavailable, match="did not appear within 1 s"):
-        wait_for_task(client, "crane", 1.0, threading.Event(), said.append)
+    endpoint = f"tcp/127.0.0.1:{free_port}"
+    with Client(endpoint, timeout_s=0.5) as client, pytest.raises(Unavailable, match="did not appear within 1 s"):
+        wait_for_task(client, "crane", 1.0, StopRequest(), said.append)
     assert len(said) == 1
     assert str(free_port) in said[0]
 
@@ -150,18 +169,50 @@ def test_a_missing_server_is_waited_for_and_then_named(free_port: int) -> None:
 def test_a_missing_task_is_waited_for_and_then_named(server: Any) -> None:
     said: list[str] = []
     with Client(server.endpoint) as client, pytest.raises(UnknownTask, match="task 'crane' did not appear"):
-        wait_for_task(client, "crane", 0.5, threading.Event(), said.append)
+        wait_for_task(client, "crane", 0.5, StopRequest(), said.append)
     assert said == ["waiting up to 0 s for task 'crane' ..."]
 
 
 def test_a_signal_ends_the_wait(free_port: int) -> None:
-    with stopped_by_signals() as stop, Client(f"tcp/127.0.0.1:{free_port}") as client:
+    with StopRequest() as stop, Client(f"tcp/127.0.0.1:{free_port}", timeout_s=0.5) as client:
         found = wait_for_task(client, "crane", 60.0, stop, lambda _: os.kill(os.getpid(), signal.SIGTERM))
     assert found is None
 
 
+def signalled_at(moment: int, client: Client) -> int:
+    """Waits for a task, with a signal at a given line of Python after the first question; returns the lines run."""
+    lines = 0
+
+    def trace(frame: FrameType, event: str, argument: object) -> Any:
+        nonlocal lines
+        lines += event == "line"
+        if lines < moment:
+            return trace
+        sys.settrace(None)
+        os.kill(os.getpid(), signal.SIGTERM)
+        return None
+
+    def begin(_: str) -> None:
+        sys._getframe(1).f_trace = trace  # of the wait, which calls this after its first question
+        sys.settrace(trace)
+
+    before = sys.gettrace()
+    try:
+        with StopRequest() as stop:
+            assert wait_for_task(client, "crane", DEADLINE_S, stop, begin) is None
+    finally:
+        sys.settrace(before)
+    return lines
+
+
+@pytest.mark.usefixtures("alarm")
+def test_a_signal_at_any_line_of_python_between_two_questions_ends_the_wait(server: Any) -> None:
+    with Client(server.endpoint) as client:
+        assert [signalled_at(moment, client) for moment in range(1, 13)] == list(range(1, 13))
+
+
 def test_signals_act_as_before_afterwards() -> None:
     before = signal.getsignal(signal.SIGINT)
-    with stopped_by_signals():
+    with StopRequest():
         assert signal.getsignal(signal.SIGINT) is not before
     assert signal.getsignal(signal.SIGINT) is before

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from ipaddress import ip_address
@@ -19,7 +18,7 @@ from crkr.dashboard.feed import Feed
 from crkr.dashboard.ports import choose_port
 from crkr.dashboard.view import View
 from crkr.dashboard.viewer import Viewer, page_address, require_display, stream_address
-from crkr.dashboard.watching import follow, stopped_by_signals, wait_for_task
+from crkr.dashboard.watching import StopRequest, follow, wait_for_task
 from crkr.protocol import Unavailable
 
 __all__ = ["watch"]
@@ -67,7 +66,7 @@ def watch(
     if terminal and save is not None:
         raise typer.BadParameter("--save needs --web or --native")
     configure_logging(log_level)
-    with stopped_by_signals() as stop, Client(connect, timeout_s=CALL_S, zenoh_config=zenoh_config) as client:
+    with StopRequest() as stop, Client(connect, timeout_s=CALL_S, zenoh_config=zenoh_config) as client:
         session = _Session(client, task, patience, stop)
         if terminal:
             complete = _in_terminal(session)
@@ -86,7 +85,7 @@ def watch(
 class _Session:
     """What every display needs: the task to come, and when to stop."""
 
-    def __init__(self, client: Client, task: str, patience_s: float, stop: threading.Event) -> None:
+    def __init__(self, client: Client, task: str, patience_s: float, stop: StopRequest) -> None:
         self.client = client
         self.task = task
         self.patience_s = patience_s
@@ -98,7 +97,7 @@ class _Session:
         task = wait_for_task(self.client, self.task, self.patience_s, self.stop, _note)
         if task is None:
             return feed
-        follow(self.client, task, feed, tick_s, lambda: goes_on() and not self.stop.is_set())
+        follow(self.client, task, feed, tick_s, lambda: goes_on() and not self.stop)
         return feed
 
 
@@ -120,7 +119,7 @@ def _in_rerun(session: _Session, places: _Places, native: bool, save: Path | Non
             display = RerunDisplay(recording, session.task)
             feed = session.show(display, PICTURES_S, lambda: viewer.is_running)
             display.finish(feed.progress)
-            if not (native or session.stop.is_set() or viewer.is_running):
+            if not (native or session.stop or viewer.is_running):
                 raise Unavailable(f"the viewer's page is gone: {viewer.complaint()}")
     finally:
         complete = recording.close(CLOSE_S)

@@ -3,51 +3,65 @@
 from __future__ import annotations
 
 import signal
-import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from types import FrameType
-from typing import Final
+from typing import Any, Final, final
 
 from crkr.client import Client, Task
 from crkr.dashboard.feed import Feed
 from crkr.dashboard.poller import Poller
 from crkr.protocol import Unavailable, UnknownTask
 
-__all__ = ["follow", "stopped_by_signals", "wait_for_task"]
+__all__ = ["StopRequest", "follow", "wait_for_task"]
 
-ATTEMPT_S: Final = 1.0
+SIGNALS: Final = (signal.SIGINT, signal.SIGTERM)
+PAUSE_S: Final = 0.2
 MAX_BURST: Final = 200  # publications between two looks at the clock
 
 
-@contextmanager
-def stopped_by_signals() -> Iterator[threading.Event]:
-    """An event that SIGINT and SIGTERM set; a second signal acts as usual."""
-    stop = threading.Event()
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+@final
+class StopRequest:
+    """Becomes true at the first SIGINT or SIGTERM while entered; main thread only.
 
-    def restore() -> None:
-        for number, handler in before.items():
+    A plain flag: the handler runs on the main thread, and an event's lock may just then be held by that very thread.
+    From then on a further signal ends the process at once, whatever it is doing.
+    """
+
+    def __init__(self) -> None:
+        self._told = False
+        self._before: dict[signal.Signals, Any] = {}
+
+    def __enter__(self) -> StopRequest:
+        self._before = {number: signal.signal(number, self._note) for number in SIGNALS}
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in self._before.items():
             signal.signal(number, handler)
 
-    def note(number: int, frame: FrameType | None) -> None:
-        del number, frame  # either means the same
-        stop.set()
-        restore()
+    def __bool__(self) -> bool:
+        return self._told
 
-    for number in before:
-        signal.signal(number, note)
-    try:
-        yield stop
-    finally:
-        restore()
+    def _note(self, number: int, frame: FrameType | None) -> None:
+        del number, frame  # either signal means the same
+        # The system's own action, not KeyboardInterrupt: that would wait for a call into a library to return.
+        for each in SIGNALS:
+            signal.signal(each, signal.SIG_DFL)
+        self._told = True
 
 
 def wait_for_task(
-    client: Client, name: str, patience_s: float, stop: threading.Event, say: Callable[[str], object]
+    client: Client, name: str, patience_s: float, stop: StopRequest, say: Callable[[str], object]
 ) -> Task | None:
     """The task once its server answers and has it; None when told to stop before.
+
+    Args:
+        client: Its deadline is that of each question, and so the longest that a stop takes.
+        name: The task.
+        patience_s: When to give up [s].
+        stop: Whether to stop; looked at after each question.
+        say: Told once that there is something to wait for.
 
     Raises:
         Unavailable: No server within the patience.
@@ -56,9 +70,9 @@ def wait_for_task(
     task = client.task(name)
     deadline = time.monotonic() + patience_s
     said = False
-    while not stop.is_set():
+    while not stop:
         try:
-            task.status(timeout_s=ATTEMPT_S)
+            task.status()
             return task
         except (Unavailable, UnknownTask) as error:
             missing = f"the server at {client.endpoint}" if isinstance(error, Unavailable) else f"task {name!r}"
@@ -67,7 +81,7 @@ def wait_for_task(
                 said = True
             if time.monotonic() > deadline:
                 raise type(error)(f"{missing} did not appear within {patience_s:.0f} s: {error.message}") from error
-            stop.wait(0.2)
+            time.sleep(PAUSE_S)
     return None
 
 

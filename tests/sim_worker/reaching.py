@@ -77,6 +77,7 @@ class Unmoved(Reaching):
     """Executes nothing, so that the model stays what the demonstrations made it."""
 
     def execute(self, goal: Floats) -> Outcome:
+        del goal  # Unused.
         return Outcome(None, False, False, None, {"reason": "out of reach"}, None)
 
 

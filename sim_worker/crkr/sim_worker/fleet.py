@@ -108,9 +108,10 @@ class Fleet:
             member.line.close()
             yield member, None
 
-    def stop(self) -> None:
-        """Ends all members: politely, then firmly, then for certain; within 4 s."""
-        for member in self._members:
+    def stop(self) -> list[tuple[Member, dict[str, Any]]]:
+        """Ends all members: politely, then firmly, then for certain; within 4 s. Gives their last events."""
+        members = list(self._members)
+        for member in members:
             member.order("stop")
         self._join(FINISH_S)
         for member in self._members:
@@ -119,17 +120,26 @@ class Fleet:
         for member in self._members:
             member.process.kill()
         self._join(TERMINATE_S)
-        for member in self._members:
-            member.line.close()
         self._members.clear()
+        last = [(member, event) for member in members for event in _rest(member)]
+        for member in members:
+            member.line.close()
+        return last
 
     def _join(self, patience_s: float) -> None:
         deadline = time.monotonic() + patience_s
         for member in self._members:
             member.process.join(max(0.0, deadline - time.monotonic()))
-        for member in [member for member in self._members if member.process.exitcode is not None]:
-            member.line.close()
-            self._members.remove(member)
+        self._members = [member for member in self._members if member.process.exitcode is None]
+
+
+def _rest(member: Member) -> Iterator[dict[str, Any]]:
+    """What is left on the line of a member that has ended."""
+    try:
+        while (event := member.line.receive(0.0)) is not None:
+            yield event
+    except LineClosed:
+        return
 
 
 def _handles(member: Member) -> tuple[Any, Any]:

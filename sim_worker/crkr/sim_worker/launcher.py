@@ -89,7 +89,8 @@ class Launcher:
                 self._look()
                 self._show(self._quota.trained, self._remark())
             self._report.stopped_by = stop.signal
-            fleet.stop()
+            for member, event in fleet.stop():
+                self._count(member, event)
         return self._finished_report()
 
     @property
@@ -140,13 +141,8 @@ class Launcher:
         if event is None:
             self._lose(member)
             return
-        self._desk.handle(event)
+        self._count(member, event)
         match event:
-            case {"event": "done", "success": success}:
-                member.tickets -= 1
-                self._quota.done()
-                self._report.trials += 1
-                self._report.successes += bool(success)
             case {"event": "failed", "reason": reason}:
                 member.reason = reason
             case {"event": "away", "reason": reason}:
@@ -157,6 +153,16 @@ class Launcher:
                 self._away.discard(member.name)
                 if not self._away:
                     self._say("the server answers again")
+
+    def _count(self, member: Member, event: dict[str, Any]) -> None:
+        """Takes what was stored into the account."""
+        self._desk.handle(event)
+        match event:
+            case {"event": "done", "success": success}:
+                member.tickets -= 1
+                self._quota.done()
+                self._report.trials += 1
+                self._report.successes += bool(success)
 
     def _lose(self, worker: Member) -> None:
         self._away.discard(worker.name)

@@ -6,7 +6,7 @@ import sys
 import time
 import urllib.request
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
@@ -106,11 +106,26 @@ def test_a_server_that_does_not_come_is_one_line_and_a_failure(watch: Watch, fre
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_while_it_waits_for_a_server_ends_it(watch: Watch, free_port: int, number: signal.Signals) -> None:
     for _ in range(3):
-        process = watch("--terminal", "--patience", "600", "--connect", f"tcp/127.0.0.1:{free_port}")
+        process = watch(
+            "--terminal", "--patience", "600", "--timeout", "0.5", "--connect", f"tcp/127.0.0.1:{free_port}"
+        )
         line_with(process.stderr, "waiting up to 600 s")
         process.send_signal(number)
         _, rest = process.communicate(timeout=PATIENCE_S)
         assert (process.returncode, rest) == (0, "")
+
+
+def test_a_second_ctrl_c_ends_it_whatever_it_is_doing(watch: Watch, free_port: int) -> None:
+    """It is in the middle of a question that goes on for ten minutes."""
+    endpoint = f"tcp/127.0.0.1:{free_port}"
+    process = watch("--terminal", "--timeout", "600", "--connect", endpoint, "--log-level", "info")
+    line_with(process.stderr, "trying again")
+    deadline = time.monotonic() + PATIENCE_S
+    while process.poll() is None and time.monotonic() < deadline:
+        process.send_signal(signal.SIGINT)
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(0.1)
+    assert process.returncode == -signal.SIGINT
 
 
 def test_a_taken_port_that_was_asked_for_is_one_line_and_a_failure(watch: Watch) -> None:

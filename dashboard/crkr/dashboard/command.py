@@ -13,7 +13,7 @@ import typer
 
 from crkr.client import Client
 from crkr.client.console import configure_logging, stderr, stdout
-from crkr.client.options import Connect, LogLevel, ZenohConfig
+from crkr.client.options import Connect, LogLevel, Timeout, ZenohConfig
 from crkr.dashboard.feed import Feed
 from crkr.dashboard.ports import choose_port
 from crkr.dashboard.view import View
@@ -27,7 +27,6 @@ STREAM_PORT: Final = 9876
 WEB_PORT: Final = 9090
 PICTURES_S: Final = 1 / 15
 TABLES_S: Final = 0.25
-CALL_S: Final = 2.0
 CLOSE_S: Final = 1.5
 LOOPBACK: Final = "127.0.0.1"
 
@@ -51,6 +50,7 @@ def watch(
         float, typer.Option(min=0.0, metavar="SECONDS", help="How long to wait for the server and the task.")
     ] = 60.0,
     connect: Connect = None,
+    timeout: Timeout = 2.0,
     zenoh_config: ZenohConfig = None,
     log_level: LogLevel = "warning",
 ) -> None:
@@ -66,7 +66,7 @@ def watch(
     if terminal and save is not None:
         raise typer.BadParameter("--save needs --web or --native")
     configure_logging(log_level)
-    with StopRequest() as stop, Client(connect, timeout_s=CALL_S, zenoh_config=zenoh_config) as client:
+    with StopRequest() as stop, Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
         session = _Session(client, task, patience, stop)
         if terminal:
             complete = _in_terminal(session)

@@ -36,7 +36,8 @@ class Orders:
     def __init__(self, line: Line, patience_s: float) -> None:
         self._line = line
         self._patience_s = patience_s
-        self._waiting: deque[dict[str, Any]] = deque()
+        self._judgements: deque[dict[str, Any]] = deque()  # go first, so that the model of that moment is asked
+        self._others: deque[dict[str, Any]] = deque()
 
     def tell(self, event: str, **fields: Any) -> None:
         """Sends an event; raises `LineClosed`."""
@@ -47,23 +48,20 @@ class Orders:
         while (message := self._line.receive(timeout_s)) is not None:
             if message["order"] == "stop":
                 raise Stopped
-            if message["order"] == "judge":  # goes first, so that the model of that moment is asked
-                self._waiting.appendleft(message)
-            else:
-                self._waiting.append(message)
+            (self._judgements if message["order"] == "judge" else self._others).append(message)
             timeout_s = 0.0
 
     def next(self) -> dict[str, Any]:
         """The next order, however long it takes; raises `Stopped` or `LineClosed`."""
         self.look()
-        while not self._waiting:
+        while not (self._judgements or self._others):
             self.look(CHECK_S)
-        return self._waiting.popleft()
+        return (self._judgements or self._others).popleft()
 
     def waiting(self) -> bool:
         """Whether an order is there to be read; raises `Stopped` or `LineClosed`."""
         self.look()
-        return bool(self._waiting)
+        return bool(self._judgements or self._others)
 
     def insist(self, ask: Callable[[], Answer]) -> Answer:
         """Repeats a call with the same content while the server is away, and tells the launcher once.

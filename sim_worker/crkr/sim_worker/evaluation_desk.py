@@ -31,7 +31,7 @@ class EvaluationDesk:
         clock: Names the epochs that end.
 
     Attributes:
-        rates: Success rate by criterion of each epoch judged.
+        rates: Success rate by criterion of each epoch judged here.
     """
 
     def __init__(self, clock: EpochClock) -> None:
@@ -66,7 +66,8 @@ class EvaluationDesk:
                 self._duties[epoch].asked = True
             case {"event": "evaluated", "epoch": epoch, "rates": rates}:
                 self._duties.pop(epoch, None)
-                self.rates[epoch] = rates
+                if rates is not None:  # None where another launcher's worker was quicker
+                    self.rates[epoch] = rates
 
     def lose(self, member: Member) -> None:
         """Takes back what a lost worker had to judge."""

@@ -83,9 +83,10 @@ class Evaluator:
         try:
             receipt = self._orders.insist(lambda: self._task.report_trials(examination.trials))
         except Conflict:
-            pass  # another launcher's worker was quicker: the epoch is judged
-        else:
-            self._show(examination, receipt)
+            # Another launcher's worker was quicker: the epoch is judged, but by other rates than these.
+            self._orders.tell("evaluated", epoch=examination.epoch, rates=None)
+            return
+        self._show(examination, receipt)
         self._orders.tell("evaluated", epoch=examination.epoch, rates=examination.rates())
 
     def _show(self, examination: Examination, receipt: Receipt) -> None:

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final, final
 
+from crkr.client.evaluations import stated_epoch, success_by_criterion
 from crkr.client.wilson import wilson_interval
 from crkr.dashboard.window import Window
 from crkr.protocol import StoredTrial
@@ -28,7 +29,7 @@ class Row:
     Attributes:
         seq: Its log position.
         trial: Training trials (kinds trial and failed) up to and including this one.
-        epoch: The epoch it belongs to; for an evaluation the epoch that it closes.
+        epoch: The epoch it belongs to; for an epoch's evaluation the one that it closes.
         kind: The protocol's kind.
         worker: Who reported it, "" if nobody said.
         cost: In [0, 1], or None.
@@ -96,7 +97,7 @@ class Progress:
         workers: Trials by worker.
         reasons: Training trials by how they ended.
         criteria: Names of what counts as success, in order of appearance.
-        epochs: Evaluations by epoch.
+        epochs: Evaluations by epoch; one that states no epoch was made by hand and counts by kind only.
         window: The last 50 training trials.
     """
 
@@ -130,7 +131,8 @@ class Progress:
         self.workers[worker] += 1
         outcomes = self._outcomes(info, trial.success)
         reason = _known(self.reasons, _reason(trial.kind, trial.success, info))
-        epoch = self._epoch(info)
+        stated = stated_epoch(info)
+        epoch = self.epoch if stated is None else stated
         if trial.kind == "evaluation":
             self._evaluate(epoch, self._known_to(trial.model_version), outcomes, now)
         if not trains:
@@ -164,10 +166,6 @@ class Progress:
             complete = result.balls if result.closed else complete
         return finished
 
-    def _epoch(self, info: Mapping[str, Any]) -> int:
-        given = info.get("epoch")
-        return given if type(given) is int and 0 <= given < 2**31 else self.epoch
-
     def _known_to(self, model_version: int | None) -> int:
         """Training trials up to a model's log position; all so far if nobody said which model it was."""
         return self.trials if model_version is None else bisect_right(self._training, model_version)
@@ -180,10 +178,8 @@ class Progress:
         self.epoch = max(self.epoch, epoch + 1)
 
     def _outcomes(self, info: Mapping[str, Any], success: bool) -> dict[str, bool]:
-        """Success by criterion; a skill that names none has the one called "success"."""
-        given = info.get("outcomes")
-        named = given.items() if isinstance(given, Mapping) else ()
-        outcomes = {name[:32]: met for name, met in named if isinstance(met, bool)} or {"success": success}
+        """Success by criterion, of those that the tables have room for."""
+        outcomes = {name[:32]: met for name, met in success_by_criterion(success, info).items()}
         for name in outcomes:
             if name not in self.criteria and len(self.criteria) < MAX_NAMES:
                 self.criteria.append(name)

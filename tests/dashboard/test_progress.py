@@ -66,6 +66,21 @@ def test_training_belongs_to_the_epoch_after_the_newest_evaluation(stored: Make)
     assert progress.add(stored(4, info={"epoch": 2}), 0.0).epoch == 2
 
 
+@pytest.mark.parametrize("odd", [{}, {"epoch": None}, {"epoch": 7.0}, {"epoch": "7"}, {"epoch": True}, {"epoch": -1}])
+def test_an_evaluation_without_an_epoch_is_counted_by_kind_and_moves_no_curve(
+    stored: Make, odd: dict[str, Any]
+) -> None:
+    progress = Progress()
+    progress.add(evaluation(stored, 1, 4), 0.0)
+    by_hand = {"ball": 0, "seed": 7, "outcomes": {"paper": False}}
+    rows = [progress.add(stored(seq, "evaluation", info=by_hand | odd), 0.0) for seq in range(2, 52)]
+    assert progress.kinds == {"evaluation": 51}
+    assert {row.epoch for row in rows} == {5}
+    assert progress.add(stored(52), 0.0).epoch == 5
+    (result,) = progress.finished_epochs(now=2 * QUIET_S)
+    assert (result.epoch, result.balls, result.rate("paper")) == (4, 1, 1.0)
+
+
 def test_every_criterion_that_a_skill_names_is_kept_apart(stored: Make) -> None:
     progress = Progress()
     progress.add(stored(1, info={"outcomes": {"paper": True, "strict": False}}), 0.0)

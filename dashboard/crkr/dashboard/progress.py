@@ -133,7 +133,7 @@ class Progress:
         reason = _known(self.reasons, _reason(trial.kind, trial.success, info))
         stated = stated_epoch(info)
         epoch = self.epoch if stated is None else stated
-        if trial.kind == "evaluation":
+        if trial.kind == "evaluation" and stated is not None:
             self._evaluate(epoch, self._known_to(trial.model_version), outcomes, now)
         if not trains:
             return Row(stored.seq, self.trials, epoch, trial.kind, worker, trial.cost, trial.success, reason, outcomes)

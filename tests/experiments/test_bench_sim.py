@@ -3,6 +3,7 @@
 import json
 
 import numpy as np
+import pytest
 from typer import Typer
 from typer.testing import CliRunner
 
@@ -22,7 +23,7 @@ def test_the_command_prints_every_ratio() -> None:
     rows = {row["what"]: row for row in json.loads(result.stdout)}
     ratio = rows["a contact trial with learning / its bare steps"]
     assert ratio["value"] > 1
-    assert ratio["value"] * ratio["detail"]["bare steps ms"] == ratio["detail"]["trial ms"]
+    assert ratio["value"] * ratio["detail"]["bare steps ms"] == pytest.approx(ratio["detail"]["trial ms"])
     worst = rows["accepted swings: worst departure from goal or limits"]
     assert worst["value"] <= 1e-6
     assert worst["reached"]

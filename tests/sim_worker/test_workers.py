@@ -148,9 +148,11 @@ def test_two_launchers_with_one_seed_do_not_stand_in_each_others_way(train: Star
     assert sum(result["trials"] for result in results) == trained(task) >= 100
 
 
-def test_a_launcher_with_another_seed_joins_the_task(train: Start, task: Task) -> None:
+def test_a_launcher_with_another_seed_joins_the_task_and_says_whose_seed_counts(train: Start, task: Task) -> None:
     train("--trials", "10", "--seed", "1").result()
-    assert train("--trials", "20", "--seed", "2").result()["trained"] == 20
+    second = train("--trials", "20", "--seed", "2")
+    assert second.result()["trained"] == 20
+    assert f"task {task.name} exists and keeps its seed 1" in second.log.read_text()
     assert task.spec.seed == 1
 
 

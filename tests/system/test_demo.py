@@ -132,11 +132,13 @@ def test_a_short_demo_of_table_tennis_learns_and_leaves_what_it_says(
     assert (result["workers_lost"], result["seed"], result["resumed"]) == (0, 0, False)
 
 
-def test_a_demo_on_the_same_data_is_resumed(start_demo: Callable[..., Demo]) -> None:
+def test_a_demo_on_the_same_data_is_resumed_with_its_own_seed(start_demo: Callable[..., Demo]) -> None:
     first = start_demo(*QUICK, "--trials", "60").result()
-    demo = start_demo(*QUICK, "--trials", "110")
+    demo = start_demo(*QUICK, "--trials", "110", "--seed", "7")
     second = demo.result()
     assert "resuming: 60 training trials" in demo.log.read_text()
+    assert "task reaching exists and keeps its seed 0, whatever --seed says" in demo.log.read_text()
+    assert second["seed"] == 0
     assert second["resumed"]
     assert second["trials"] == 110
     assert second["demonstrations"] == 5

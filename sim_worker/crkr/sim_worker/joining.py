@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-import logging
+from collections.abc import Callable
 
 from crkr.client import Client, Task
 from crkr.protocol import Conflict, TaskSpec
 
 __all__ = ["create_or_join"]
 
-logger = logging.getLogger(__name__)
 
-
-def create_or_join(client: Client, spec: TaskSpec) -> Task:
+def create_or_join(client: Client, spec: TaskSpec, say: Callable[[str], None]) -> Task:
     """The task of this specification; one that differs in its seed only is joined and keeps its seed.
+
+    Args:
+        client: Where.
+        spec: What is to be learned.
+        say: Prints a line for people.
 
     Raises:
         Conflict: The task exists and learns something else; the message names the fields.
@@ -25,8 +28,9 @@ def create_or_join(client: Client, spec: TaskSpec) -> Task:
         if not isinstance(fields, dict) or not fields:
             raise
         if set(fields) == {"seed"}:
-            logger.info("task %s keeps its seed %s", spec.name, fields["seed"][0])
-            return client.task(spec.name)
+            task = client.task(spec.name)
+            say(f"task {spec.name} exists and keeps its seed {task.spec.seed}")
+            return task
         listed = ", ".join(sorted(fields))
         raise Conflict(
             f"task {spec.name!r} exists with another specification; these fields differ: {listed}; "

@@ -101,6 +101,8 @@ def _run(
     follower.begin()
     if follower.history is not None:
         say(f"resuming: {follower.history.trained} training trials are in {settings.data}")
+        if (seed := follower.task.spec.seed) != settings.seed:
+            say(f"task {settings.task} exists and keeps its seed {seed}, whatever --seed says")
     if settings.dashboard:
         crew.start_dashboard(stop)
     crew.start_workers()
@@ -118,8 +120,9 @@ def _result(
     settings: DemoSettings, crew: Crew, follower: Follower, stop: StopRequest, problem: str | None, started: float
 ) -> DemoResult:
     history = follower.history
+    seed = settings.seed if history is None else follower.task.spec.seed  # a task that was there has its own
     drawn = history is not None and draw_learning_curve(
-        history, f"{settings.task}, seed {settings.seed}", follower.task.spec.budget, settings.figure
+        history, f"{settings.task}, seed {seed}", follower.task.spec.budget, settings.figure
     )
     summary = {
         "task": settings.task,
@@ -127,7 +130,7 @@ def _result(
         "active": follower.active,
         "workers": settings.workers,
         "workers_lost": crew.workers_report().get("workers_lost", 0),
-        "seed": settings.seed,
+        "seed": seed,
         "resumed": follower.trained_before > 0,
         "stopped_by": None if stop.signal is None else stop.signal.name,
         "problem": problem,

@@ -124,13 +124,17 @@ def test_publications_arrive_as_pictures_and_odd_ones_do_no_harm(
 
 def test_a_restarted_server_is_gone_on_with(start_server: Callable[..., Any], spec: TaskSpec, free_port: int) -> None:
     first = start_server(port=free_port)
-    stage = {"restarted": False}
+    steps = iter(["end", "start again", "done"])
+    step = next(steps)
 
     def restart(seen: Witness, feed: Feed) -> bool:
-        if not stage["restarted"] and seen.progress.trials == 2:
-            stage["restarted"] = True
+        nonlocal step
+        if step == "end" and seen.progress.trials == 2:
+            step = next(steps)
             first.process.send_signal(signal.SIGTERM)
             first.process.wait(10)
+        elif step == "start again" and any(warning for warning, _ in seen.lines):
+            step = next(steps)
             start_server(port=free_port)
             with Client(f"tcp/127.0.0.1:{free_port}") as other:
                 report(other.task("crane"), 3)
@@ -140,19 +144,23 @@ def test_a_restarted_server_is_gone_on_with(start_server: Callable[..., Any], sp
         report(client.create_task(spec), 2)
     witness, _ = watched(first.endpoint, restart)
     said = [warning for warning, line in witness.lines if "server" in line]
-    assert said == [True, False] * (len(said) // 2)  # one that is back at once is not missed at all
+    assert said
+    assert said == [True, False] * (len(said) // 2)  # lost and found; more than once where the machine is busy
+
+
+def pollers() -> list[threading.Thread]:
+    return [thread for thread in threading.enumerate() if thread.name == "crkr-poller"]
 
 
 def test_a_question_to_a_silent_server_does_not_delay_the_end(server: Any, crane: Task) -> None:
     report(crane, 1)
     server.process.send_signal(signal.SIGSTOP)
     try:
-        with Client(server.endpoint, timeout_s=30.0) as client:
-            began = time.monotonic()
+        with Client(server.endpoint, timeout_s=10 * DEADLINE_S) as client:
             with Poller(client.task("crane"), client.close):
-                pass  # its first question is on its way
-            assert time.monotonic() - began < 3.0
-        assert not any(thread.name == "crkr-poller" for thread in threading.enumerate())
+                (thread,) = pollers()  # its first question is on its way
+            thread.join(DEADLINE_S)
+            assert not thread.is_alive()
     finally:
         server.process.send_signal(signal.SIGCONT)
 

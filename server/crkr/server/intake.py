@@ -1,7 +1,8 @@
 """Takes queries off Zenoh as they come: answers predictions itself, queues all else, refuses what is too much.
 
 Zenoh's receiving threads only ever put a query into a deep channel. One thread here drains it, so no client can make
-the server deaf to the others. Small predictions are answered on this very thread: handing them over would cost as much.
+the server deaf to the others. Predictions that take little work are answered on this very thread, tasks in turn, as
+handing them over would cost as much. The others wait in a lane.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from __future__ import annotations
 import logging
 import threading
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, final
 
 import zenoh
@@ -18,6 +19,7 @@ from crkr.protocol import CrkrError, Internal, Unsupported
 from crkr.server.lane import Lane, busy, shutting_down
 from crkr.server.latency import Latencies
 from crkr.server.request import Request, refuse
+from crkr.server.turns import Turns
 
 __all__ = ["Intake"]
 
@@ -26,10 +28,9 @@ logger = logging.getLogger(__name__)
 _CHANNEL: Final = 65536  # queries, between Zenoh and the intake thread
 _ROUND: Final = 64  # queries taken off before predictions are answered again
 _BATCH: Final = 64  # predictions answered together
-_MOST_PREDICTS: Final = 1024  # may wait; more are refused
 _REFUSALS: Final = 16  # sent together
 _MOST_REFUSED: Final = 4096  # may wait to be told so
-_SMALL: Final = 4096  # bytes; a larger predict has many states and goes to a lane of its own
+_SMALL: Final = 4096  # bytes; a larger predict is not even looked at here
 
 
 @final
@@ -38,7 +39,8 @@ class Intake:
 
     Args:
         lanes: verb -> where its requests go.
-        predict: Answers small predict requests on the intake thread; None: there are none under this key.
+        predict: Answers predict requests on the intake thread and returns those it left: patient ones for their lane,
+            the others for another round. None: there are none under this key.
     """
 
     def __init__(
@@ -47,10 +49,10 @@ class Intake:
         key: str,
         lanes: Mapping[str, Lane[Any]],
         latencies: Latencies,
-        predict: Callable[[list[Request]], None] | None = None,
+        predict: Callable[[list[Request]], Sequence[Request]] | None = None,
     ) -> None:
         self._lanes, self._latencies, self._predict = lanes, latencies, predict
-        self._waiting: deque[Request] = deque()
+        self._waiting = Turns()
         self._refused: deque[tuple[Request, CrkrError]] = deque()
         self._stopping = False
         self._queries = session.declare_queryable(key, zenoh.handlers.FifoChannel(_CHANNEL), complete=True)
@@ -79,7 +81,7 @@ class Intake:
                 if all_taken or len(self._refused) > _MOST_REFUSED:
                     self._refuse()
         except zenoh.ZError:  # the session is closed
-            for request in self._waiting:
+            for request in self._waiting.take(len(self._waiting)):
                 request.fail(shutting_down())
 
     def _drain(self) -> bool:
@@ -100,9 +102,13 @@ class Intake:
     def _answer(self) -> None:
         if not self._waiting or self._predict is None:
             return
-        batch = [self._waiting.popleft() for _ in range(min(_BATCH, len(self._waiting)))]
+        batch = self._waiting.take(_BATCH)
         try:
-            self._predict(batch)
+            left = self._predict(batch)
+            self._waiting.put_back([request for request in left if not request.patient])
+            for request in left:
+                if request.patient:
+                    self._hand_over(request)
         except Exception as error:
             for request in batch:
                 request.fail_unexpectedly(error)
@@ -116,9 +122,7 @@ class Intake:
             elif request.verb == "predict" and self._predict is not None and request.size <= _SMALL:
                 self._wait(request)
             else:
-                refusal = self._lane(request).offer(request)
-                if refusal is not None:
-                    self._refused.append((request, refusal))
+                self._hand_over(request)
         except CrkrError as error:
             refuse(query, error)
         except Exception:
@@ -126,10 +130,14 @@ class Intake:
             refuse(query, Internal("the query could not be taken by a defect of the server; see its log"))
 
     def _wait(self, request: Request) -> None:
-        if len(self._waiting) >= _MOST_PREDICTS:
-            request.fail(busy(request.verb))
-        else:
-            self._waiting.append(request)
+        if not self._waiting.add(request):
+            self._refused.append((request, busy(request.verb)))
+
+    def _hand_over(self, request: Request) -> None:
+        request.patient = True
+        refusal = self._lane(request).offer(request)
+        if refusal is not None:
+            self._refused.append((request, refusal))
 
     def _lane(self, request: Request) -> Lane[Any]:
         lane = self._lanes.get(request.verb)

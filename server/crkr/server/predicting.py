@@ -1,15 +1,23 @@
-"""Answers `predict` from the model at hand: what waits together is answered together, and nothing waits to fill up."""
+"""Answers `predict` from the model at hand: what waits together is answered together, and nothing waits to fill up.
+
+How long a prediction takes is known beforehand from the number of states b and of active samples m: the m^2 numbers of
+the factor are read once, and each state costs m^2 operations more. So what asks for much is told from what asks for
+little by work, not by bytes.
+"""
 
 from __future__ import annotations
 
 import os
 import time
 from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, replace
 from typing import Any, Final, final
 
 import numpy as np
 
-from crkr.protocol import CrkrError, Invalid, PredictRequest, pack
+from crkr.learner import Model
+from crkr.protocol import Array, CrkrError, Invalid, NovelState, Prediction, PredictRequest, pack
 from crkr.server.prediction_wire import packed_rows, state_bytes
 from crkr.server.request import Request
 from crkr.server.tasks import ServedTask, Tasks
@@ -19,7 +27,11 @@ __all__ = ["Predictor"]
 
 _Question = tuple[Request, dict[str, Any], bytes]  # request, its message, the bytes of its one state
 
-
+_AT_ONCE_US: Final = 1000.0  # of work, after which others have their turn
+_STATE_US: Final = 3.0  # the work of a state, apart from the samples
+_SQUARE_US: Final = 30e-6  # for each state and each of m^2
+_PASS_US: Final = 120e-6  # for each of m^2, whatever the number of states
+_LEAST: Final = 8  # states at a time; with fewer, reading the factor again and again would be most of the work
 _VERSION: Final = 6  # byte of a UUID
 _VARIANT: Final = 8
 _LONGEST: Final = 128  # name of a worker
@@ -32,24 +44,43 @@ class Predictor:
     def __init__(self, tasks: Tasks, workers: Workers) -> None:
         self._tasks, self._workers = tasks, workers
 
-    def answer(self, requests: list[Request]) -> None:
-        """Answers every one of them, with a prediction or an error."""
+    def answer(self, requests: list[Request]) -> list[Request]:
+        """Answers requests, with a prediction or an error.
+
+        Patient ones are all answered. Of the others, one that needs more than a millisecond is made patient and left;
+        and those behind a millisecond's work are left as they are.
+
+        Returns:
+            Those left, in the same order.
+        """
         together: defaultdict[tuple[str, bool], list[_Question]] = defaultdict(list)
-        for request in requests:
+        left: list[Request] = []
+        work = 0.0
+        for place, request in enumerate(requests):
+            if work > _AT_ONCE_US and not request.patient:
+                left += requests[place:]
+                break
             try:
-                task = self._tasks.get(request.task)
-                message = request.message()
-                state = state_bytes(message, task.dimensions)
-                explore = message.get("explore", False)
-                worker = message.get("worker") or ""
-                if state is None or type(explore) is not bool or type(worker) is not str or len(worker) > _LONGEST:
+                task, message = self._tasks.get(request.task), request.message()
+                needed = _work_us(_count(message), task.model.active)
+                if needed > _AT_ONCE_US and not request.patient:
+                    request.patient = True
+                    left.append(request)
+                    continue
+                work += needed
+                state = _single_state(message, task.dimensions)
+                if state is None:
                     self._answer_alone(request, task, message)
-                else:
-                    together[request.task, explore].append((request, message, state))
+                    continue
+                alike = together[request.task, message.get("explore", False)]
+                if alike:
+                    work -= _work_us(0, task.model.active)  # the factor is read once for all of them
+                alike.append((request, message, state))
             except Exception as error:  # this one's fault alone; it is answered and the others go on
                 request.fail_unexpectedly(error)
         for (name, explore), questions in together.items():
             self._answer_together(self._tasks.get(name), explore, questions)
+        return left
 
     def _answer_together(self, task: ServedTask, explore: bool, questions: list[_Question]) -> None:
         """One call of the model for all; where one of them is refused, each is asked alone."""
@@ -58,7 +89,7 @@ class Predictor:
         try:
             ids = [_trial_id(message) for _, message, _ in questions]
             asked = states.reshape(len(questions), task.dimensions) if len(questions) > 1 else states
-            answer = task.model.predict(asked, explore, ids if explore else None)
+            answer = _predicted(task.model, asked, explore, ids if explore else None)
         except CrkrError:
             for request, message, _ in questions:
                 try:
@@ -77,12 +108,61 @@ class Predictor:
         question = PredictRequest.from_wire(message, task.dimensions)
         started = time.perf_counter_ns()
         ids = [one.bytes for one in question.trial_ids] or [_new_id() for _ in range(question.count)]
-        answer = task.model.predict(question.states, question.explore, ids)
+        answer = _predicted(task.model, question.states, question.explore, ids)
         reply = answer.to_wire()
         reply["compute_us"] = (time.perf_counter_ns() - started) // 1000
         request.reply_packed(pack(reply))
         if question.explore and question.worker is not None:
             self._workers.asked(task.name, question.worker, ids)
+
+
+def _work_us(count: int, active: int) -> float:
+    """About how long a prediction takes [us], what every question costs left out."""
+    return _PASS_US * active**2 + count * (_STATE_US + _SQUARE_US * active**2)
+
+
+def _count(message: Mapping[str, Any]) -> int:
+    """How many states a request seems to ask about; whether it is in order is found out when it is answered."""
+    states = message.get("states")
+    if type(states) is dict:
+        shape = states.get("shape")
+        return shape[0] if type(shape) is list and len(shape) == 2 and type(shape[0]) is int else 1
+    return len(states) if type(states) is list and states and type(states[0]) is list else 1
+
+
+def _single_state(message: Mapping[str, Any], dimensions: int) -> bytes | None:
+    """The one state of a request that others can be answered together with; None: it needs a full look."""
+    worker = message.get("worker") or ""
+    plain = type(message.get("explore", False)) is bool and type(worker) is str and len(worker) <= _LONGEST
+    return state_bytes(message, dimensions) if plain else None
+
+
+def _predicted(model: Model, states: Array, explore: bool, ids: Sequence[bytes] | None) -> Prediction:
+    """A few states at a time: no other thread of Python runs while the factor is solved for them."""
+    per_state = _work_us(1, model.active) - _work_us(0, model.active)
+    most = max(_LEAST, int((_AT_ONCE_US - _work_us(0, model.active)) / per_state))
+    if states.ndim == 1 or len(states) <= most:
+        return model.predict(states, explore, ids)
+    starts = range(0, len(states), most)
+    try:
+        parts = [
+            model.predict(states[start : start + most], explore, None if ids is None else ids[start : start + most])
+            for start in starts
+        ]
+    except NovelState:
+        return model.predict(states, explore, ids)  # whose error names the most novel of all
+    return _joined(parts)
+
+
+def _joined(parts: Sequence[Prediction]) -> Prediction:
+    """One prediction of several by the same model."""
+    first = parts[0]
+    rows: dict[str, Any] = {
+        field.name: np.concatenate([getattr(part, field.name) for part in parts])
+        for field in fields(Prediction)
+        if isinstance(getattr(first, field.name), np.ndarray)
+    }
+    return replace(first, trial_ids=[one for part in parts for one in part.trial_ids], **rows)
 
 
 def _new_id() -> bytes:

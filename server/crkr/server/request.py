@@ -61,6 +61,7 @@ class Request:
         verb: The last part of the key.
         size: Bytes of the payload.
         held: Somebody took it over and will answer it later.
+        patient: It takes long and waits in a lane, where it holds up nobody who asks for little.
 
     Raises:
         Invalid: The key is none of the protocol's; the query is left to the caller.
@@ -74,6 +75,7 @@ class Request:
         "_received",
         "answered",
         "held",
+        "patient",
         "scope",
         "size",
         "task",
@@ -84,7 +86,7 @@ class Request:
         self._received = time.perf_counter()
         self._query = query
         self._latencies = latencies
-        self.answered = self.held = False
+        self.answered = self.held = self.patient = False
         self._key = query.key_expr
         self.scope, self.task, self.verb = split_key(str(self._key))
         payload = query.payload

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 import time
 from collections import Counter
@@ -194,6 +195,24 @@ def test_workers_give_up_on_a_server_that_never_comes(start_command: Start, free
     status, _, log = start_command("workers", "reaching:make", "--connect", endpoint, "--patience", "1.5").finish()
     assert status == 1
     assert log.splitlines()[-1].startswith(f"error: no answer from {endpoint}")
+
+
+def test_a_call_to_a_server_that_is_held_has_the_deadline_that_was_asked_for(
+    train: Start, task: Task, start_server: Start, processes: Any, tmp_path: Path
+) -> None:
+    server = start_server(data=tmp_path / "held")
+    command = train("--trials", "2000", "--seed", "1", "--timeout", "1.5", endpoint=server.endpoint)
+    with Client(server.endpoint) as client:
+        under_way(client.task(task.name), processes, command)
+    server.process.send_signal(signal.SIGSTOP)
+    try:
+        warning = command.wait_for_line("trying again for 60 s")
+    finally:
+        server.process.send_signal(signal.SIGCONT)
+    tried = re.search(r" in ([0-9.]+) s and", warning)
+    assert tried is not None, warning
+    assert 1.5 <= float(tried[1]) < 5.0
+    assert command.result()["trained"] == 2000
 
 
 def test_a_server_that_was_killed_and_comes_back_finds_its_workers_at_work(

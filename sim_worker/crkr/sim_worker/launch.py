@@ -37,7 +37,7 @@ def launch(plan: LaunchPlan, say: Callable[[str], None], show: Callable[[int, st
         CrkrError: The skill is unknown, the server is away for longer than the patience, or the task is another one.
     """
     skill = load_skill(plan.skill, plan.options)
-    with Client(plan.endpoint, zenoh_config=plan.zenoh_config) as client:
+    with Client(plan.endpoint, timeout_s=plan.timeout_s, zenoh_config=plan.zenoh_config) as client:
         _wait_for_server(client, plan.patience_s, say)
         task = create_or_join(client, skill.spec(), say)
         added = _demonstrate(plan, task, skill, say)
@@ -84,6 +84,7 @@ def _settings(plan: LaunchPlan, task: Task, identity: Identity) -> ProcessSettin
         task=task.name,
         endpoint=plan.endpoint,
         zenoh_config=plan.zenoh_config,
+        timeout_s=plan.timeout_s,
         patience_s=plan.patience_s,
         identity=identity,
         evaluations=plan.evaluations,

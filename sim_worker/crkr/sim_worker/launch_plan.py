@@ -27,6 +27,7 @@ class LaunchPlan:
         demonstrations: How many the task must have before training.
         evaluations: Fixed contexts to judge after each epoch; 0 judges nothing.
         seed: Seed of demonstrations and workers.
+        timeout_s: Deadline of a call; within the patience it is made again [s].
         patience_s: How long the server may be away [s].
         wait: Reports return when the model includes the trial.
         log_level: For the processes.
@@ -41,6 +42,7 @@ class LaunchPlan:
     demonstrations: int
     evaluations: int
     seed: int
+    timeout_s: float
     patience_s: float
     wait: bool
     log_level: str

@@ -41,6 +41,7 @@ class ProcessSettings:
         task: Name of the task, which exists.
         endpoint: Where the server is.
         zenoh_config: Transport settings, or None.
+        timeout_s: Deadline of a call [s].
         patience_s: How long the server may be away [s].
         identity: Names and seeds.
         evaluations: Contexts of an epoch's evaluation.
@@ -53,6 +54,7 @@ class ProcessSettings:
     task: str
     endpoint: str
     zenoh_config: Path | None
+    timeout_s: float
     patience_s: float
     identity: Identity
     evaluations: int
@@ -67,7 +69,7 @@ def run_worker(settings: ProcessSettings, connection: Connection) -> None:
     orders = Orders(Line(connection), settings.patience_s)
     try:
         skill = load_skill(settings.skill, settings.options)
-        with Client(settings.endpoint, zenoh_config=settings.zenoh_config) as client:
+        with Client(settings.endpoint, timeout_s=settings.timeout_s, zenoh_config=settings.zenoh_config) as client:
             task = client.task(settings.task)
             with orders.insist(lambda: task.announce(settings.identity.worker)):
                 _work(settings, task, skill, orders)

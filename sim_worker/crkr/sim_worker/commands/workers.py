@@ -9,7 +9,7 @@ from typing import Annotated, Final
 import typer
 
 from crkr.client.console import configure_logging, print_json, stderr
-from crkr.client.options import Connect, Json, LogLevel, ZenohConfig
+from crkr.client.options import Connect, Json, LogLevel, Timeout, ZenohConfig
 
 __all__ = ["workers"]
 
@@ -54,6 +54,7 @@ def workers(
     patience: Patience = 60.0,
     wait: Wait = False,
     connect: Connect = None,
+    timeout: Timeout = 5.0,
     zenoh_config: ZenohConfig = None,
     json: Json = False,
     log_level: LogLevel = "warning",
@@ -89,6 +90,7 @@ def workers(
         demonstrations=demonstrations,
         evaluations=evaluations,
         seed=unpredictable_seed() if seed is None else seed,
+        timeout_s=timeout,
         patience_s=patience,
         wait=wait,
         log_level=log_level,

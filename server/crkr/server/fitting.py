@@ -13,7 +13,7 @@ from multiprocessing.connection import Connection
 from typing import Any, Final, final
 
 from crkr.learner import FitProblem, FitResult, fit
-from crkr.protocol import Conflict, CrkrError, Internal
+from crkr.protocol import Conflict, CrkrError, Internal, ShuttingDown
 from crkr.server.administration import Change
 from crkr.server.lane import shutting_down
 from crkr.server.learning import Learning
@@ -95,8 +95,10 @@ class Fitting:
         """What is to be fitted; only the learning thread may ask the learner."""
         future: Future[FitProblem] = Future()
 
-        def begin(_result: Any, _failure: Exception | None) -> None:
+        def begin(_result: Any, failure: Exception | None) -> None:
             try:
+                if isinstance(failure, ShuttingDown):
+                    raise failure
                 future.set_result(task.learner.begin_fit())
             except Exception as error:
                 future.set_exception(error)

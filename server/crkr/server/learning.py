@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -12,6 +13,7 @@ from typing import Any, Final, final
 from crkr.learner import Model
 from crkr.protocol import Internal
 from crkr.server.applying import apply_entries
+from crkr.server.lane import shutting_down
 from crkr.server.log import Event, LoggedTrial
 from crkr.server.tasks import ServedTask
 
@@ -47,7 +49,8 @@ class Learning:
         self._notice, self._due = notice, due
         self._steps: deque[_Step] = deque()
         self._changed = threading.Condition()
-        self._closing = False
+        self._closing = self._closed = False
+        self._deadline = 0.0  # on the monotonic clock, of what is done while closing
         self._backlog = 0
         self._thread = threading.Thread(target=self._run, name="learning", daemon=True)
 
@@ -71,21 +74,35 @@ class Learning:
         Args:
             task: Whose they are.
             entries: Trials, none of them too, or one event.
-            done: Called on the learning thread when the model includes them, with what the learner returned and what it
-                raised.
+            done: Called, on the learning thread, when the model includes them, with what the learner returned and what it
+                raised: `ShuttingDown` where the server ends before its turn, `Internal` where learning is at fault.
         """
         with self._changed:
-            self._steps.append(_Step(task, entries, done))
-            self._backlog += _size(entries)
-            self._changed.notify()
+            if not self._closed:
+                self._steps.append(_Step(task, entries, done))
+                self._backlog += _size(entries)
+                self._changed.notify()
+                return
+        if done is not None:
+            done(None, shutting_down())
 
     def close(self, patience_s: float) -> bool:
-        """Stops after the step at hand; what is left is in the log and will be replayed. False: it goes on too long."""
+        """Stops once nobody waits for an answer, for half of `patience_s` at most; then who still waits is told.
+
+        What is left is in the log and will be replayed. False: the step at hand goes on too long.
+        """
         with self._changed:
-            self._closing = True
+            self._closing, self._deadline = True, time.monotonic() + patience_s / 2
             self._changed.notify()
         if self._thread.is_alive():
             self._thread.join(patience_s)
+        with self._changed:
+            left = list(self._steps)
+            self._steps.clear()
+            self._closed = True
+        for step in left:
+            if step.done is not None:
+                step.done(None, shutting_down())
         return not self._thread.is_alive()
 
     def _run(self) -> None:
@@ -97,7 +114,7 @@ class Learning:
         with self._changed:
             while not self._steps and not self._closing:
                 self._changed.wait()
-            if self._closing:
+            if self._closing and (time.monotonic() >= self._deadline or all(step.done is None for step in self._steps)):
                 return []
             group = [self._steps.popleft()]
             count = _size(group[0].entries)

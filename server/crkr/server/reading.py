@@ -15,6 +15,7 @@ from crkr.protocol import (
     MAX_STATES,
     MAX_TRIALS,
     PROTOCOL_VERSION,
+    ShuttingDown,
     array_from_wire,
     id_from_wire,
 )
@@ -141,7 +142,10 @@ class Reader:
             return
         sample_id = id_from_wire(sample, "sample_id")
 
-        def answer(_result: Any, _failure: Exception | None) -> None:
+        def answer(_result: Any, failure: Exception | None) -> None:
+            if isinstance(failure, ShuttingDown):  # the learner may be busy still, on a thread that does not end
+                request.fail(failure)
+                return
             try:
                 request.reply(task.learner.explain(state, sample_id).to_wire())
             except Exception as error:

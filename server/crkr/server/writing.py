@@ -13,12 +13,13 @@ from crkr.protocol import (
     Invalid,
     Receipt,
     ReportRequest,
+    ShuttingDown,
     StorageError,
     TaskSpec,
 )
 from crkr.server.administration import Change, read_change
 from crkr.server.learning import Learning
-from crkr.server.log import PendingReport, Stored, TaskLog
+from crkr.server.log import Event, PendingReport, Stored, TaskLog
 from crkr.server.request import Job, Request
 from crkr.server.tasks import ServedTask, Tasks
 from crkr.server.workers import Workers
@@ -28,6 +29,7 @@ __all__ = ["MOST_REPORTS", "Writer"]
 logger = logging.getLogger(__name__)
 
 MOST_REPORTS: Final = 256  # in one commit
+_KNOWN_BEFORE: Final = frozenset({"archive", "fit"})  # what other changes did only the learner can tell
 _MOST_BACKLOG: Final = 20_000  # committed trials that wait to be learned from
 
 
@@ -100,7 +102,8 @@ class Writer:
         def reply(_: Any = None, failure: Exception | None = None) -> None:
             fresh = len(result.fresh)
             receipt = Receipt(fresh, len(result.seqs) - fresh, result.seqs, task.model.version)
-            _settle(request, failure, receipt.to_wire())
+            stored = isinstance(failure, ShuttingDown)  # only the version lags behind
+            _settle(request, None if stored else failure, receipt.to_wire())
 
         if asked.wait:
             request.held = True
@@ -139,6 +142,9 @@ class Writer:
             self._commit_change(task, change, request)
 
     def _commit_change(self, task: ServedTask, change: Change, request: Job) -> None:
+        if task.archived and change.kind == "archive":  # asked again, perhaps because the answer was lost
+            self._await(task, (), task.seq, change, request)
+            return
         _refuse_archived(task)
         missing = self._log.reads.missing(task.name, change.ids)
         if missing:
@@ -151,9 +157,16 @@ class Writer:
         task.note(event)
         logger.info("%s of task %s at log position %d", change.kind, task.name, event.seq)
 
+        self._await(task, event, event.seq, change, request)
+
+    def _await(self, task: ServedTask, event: Event | tuple[()], seq: int, change: Change, request: Job) -> None:
+        """Answers when the model includes the event, or the end of the server comes first."""
+
         def answer(result: Any, failure: Exception | None) -> None:
+            if isinstance(failure, ShuttingDown) and change.kind in _KNOWN_BEFORE:
+                failure = None  # it is stored; only the version lags behind
             found = {} if failure else change.answer(task, result)
-            _settle(request, failure, {**found, "seq": event.seq, "model_version": task.model.version})
+            _settle(request, failure, {**found, "seq": seq, "model_version": task.model.version})
 
         request.held = True
         self._learning.submit(task, event, answer)

@@ -1,0 +1,140 @@
+"""What a client asks again after a lost answer is answered as the first time, and no answer is lost at the end."""
+
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+from uuid import UUID
+
+import msgpack
+import pytest
+import zenoh
+
+from crkr.learner import Model
+from crkr.protocol import CrkrError, ShuttingDown, TaskSpec, task_key
+from crkr.server.administration import read_change
+from crkr.server.latency import Latencies
+from crkr.server.learning import Learning
+from crkr.server.log import SqliteLog
+from crkr.server.request import Request
+from crkr.server.session import open_session
+from crkr.server.tasks import ServedTask, Tasks
+from crkr.server.workers import Workers
+from crkr.server.writing import Writer
+
+Ask = Callable[..., dict[str, Any]]
+MakeTrial = Callable[..., dict[str, Any]]
+
+
+class OwnJob:
+    """A job that the test asks of the server, and keeps the answer of."""
+
+    verb, task, size = "archive", "reach", 0
+
+    def __init__(self) -> None:
+        self.answered = self.held = False
+        self.message: dict[str, Any] = {}
+        self.error: Exception | None = None
+
+    def reply(self, message: Mapping[str, Any]) -> None:
+        self.answered, self.message = True, dict(message)
+
+    def fail(self, error: CrkrError) -> None:
+        self.fail_unexpectedly(error)
+
+    def fail_unexpectedly(self, error: Exception) -> None:
+        self.answered, self.error = True, error
+
+
+def ignore(_task: ServedTask, _before: Model | None = None, _after: Model | None = None) -> None:
+    """Nobody is told of new models here."""
+
+
+@pytest.fixture
+def learning() -> Learning:
+    return Learning(ignore, ignore)
+
+
+@pytest.fixture
+def task(reach: dict[str, Any]) -> ServedTask:
+    return ServedTask(TaskSpec.from_dict(reach))
+
+
+@pytest.fixture
+def writer(tmp_path: Path, learning: Learning, task: ServedTask) -> Iterator[Writer]:
+    log, tasks = SqliteLog(tmp_path), Tasks()
+    log.create(task.created)
+    tasks.add(task)
+    yield Writer(log, tasks, Workers(), learning)
+    log.close()
+
+
+def test_archiving_again_is_answered_as_the_first_time(ask: Ask, make_trial: MakeTrial) -> None:
+    ask("task/reach/rpc/report", {"trials": [make_trial(1)]})
+    first = ask("task/reach/admin/archive")
+    assert (first["archived"], first["seq"]) == (True, 3)
+    assert ask("task/reach/admin/archive") == first
+    assert ask("task/reach/rpc/status")["seq"] == 3
+
+
+def test_who_waits_at_the_end_is_answered_by_what_was_stored(
+    writer: Writer,
+    learning: Learning,
+    task: ServedTask,
+    make_trial: MakeTrial,
+    free_port: int,
+    plain: Callable[[str], zenoh.Session],
+) -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port}"
+    with open_session(endpoint, None) as session:
+        queries = session.declare_queryable(task_key("*", "*"), zenoh.handlers.FifoChannel(8), complete=True)
+        payload = msgpack.packb({"trials": [make_trial(1)], "wait": True})
+        replies = plain(endpoint).get(
+            task_key("reach", "report"), zenoh.handlers.FifoChannel(1), payload=payload, timeout=10.0
+        )
+        writer.work([Request(queries.recv(), Latencies())])
+        removal, archiving = OwnJob(), OwnJob()
+        writer.commit(task, read_change("remove", {"ids": [UUID(int=2).bytes]}, task), removal)
+        writer.commit(task, read_change("archive", {}, task), archiving)
+        assert not (removal.answered or archiving.answered)
+        learning.close(0.05)  # it never began to learn
+        reply = replies.recv()
+        assert reply.ok is not None
+        assert msgpack.unpackb(reply.ok.payload.to_bytes()) == {
+            "accepted": 1,
+            "duplicates": 0,
+            "seqs": [2],
+            "model_version": 1,
+        }
+    assert archiving.message == {"archived": True, "seq": 4, "model_version": 1}
+    assert isinstance(removal.error, ShuttingDown)  # how many it removed is known to the successor only
+
+
+def test_what_somebody_waits_for_is_still_learned_at_the_end(
+    writer: Writer, learning: Learning, task: ServedTask
+) -> None:
+    working, go_on = threading.Event(), threading.Event()
+
+    def hold(_result: Any, _failure: Exception | None) -> None:
+        working.set()
+        go_on.wait(10)
+
+    learning.start()
+    learning.submit(task, (), hold)
+    assert working.wait(10)
+    configuring = OwnJob()
+    writer.commit(task, read_change("configure", {"changes": {"budget": 5}}, task), configuring)
+    closing = threading.Thread(target=learning.close, args=(10.0,))
+    closing.start()
+    go_on.set()
+    closing.join(10)
+    assert configuring.message["spec"]["budget"] == 5
+    assert configuring.message["model_version"] == configuring.message["seq"] == 2
+
+
+def test_who_comes_after_the_end_of_learning_is_told_so(learning: Learning, task: ServedTask) -> None:
+    learning.start()
+    assert learning.close(5.0)
+    failures: list[Exception | None] = []
+    learning.submit(task, (), lambda _, failure: failures.append(failure))
+    assert [type(failure) for failure in failures] == [ShuttingDown]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -22,6 +23,10 @@ class Reaching:
             raise Invalid(f"reaching has presets plain and small; got {options.preset!r}")
         self._options = options
         self._state = np.zeros(2)
+
+    @property
+    def options(self) -> SkillOptions:
+        return replace(self._options, environment=self._options.environment or "plane")
 
     def spec(self) -> TaskSpec:
         axes = [{"name": name, "unit": "m", "low": -1.0, "high": 1.0} for name in "xy"]

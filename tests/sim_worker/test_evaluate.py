@@ -58,6 +58,19 @@ def test_nothing_is_stored_unless_asked_for(start_command: Start, task: Task, sh
     assert result["recorded"] == BALLS == task.status()["samples"]["evaluation"]
 
 
+def test_the_environment_that_the_skill_chooses_is_the_same_as_naming_it(
+    start_command: Start, task: Task, shared_endpoint: str
+) -> None:
+    options = ["--task", task.name, "--connect", shared_endpoint, "--evaluations", "0", "--trials", "5"]
+    assert start_command("workers", "reaching:make", *options).finish()[0] == 0
+    results = [
+        evaluate(start_command, shared_endpoint, "--no-oracle", "--record", *words, task=task.name).result()
+        for words in ((), ("--environment", "plane"), ("--environment", "other"))
+    ]
+    assert [result["environment"] for result in results] == ["plane", "plane", "other"]
+    assert [result["recorded"] for result in results] == [BALLS, 0, BALLS]
+
+
 def test_a_skill_of_another_size_is_refused(start_command: Start, finished_run: Any) -> None:
     options = ["--skill", "table-tennis", "--connect", finished_run.endpoint]
     status, _, log = start_command("evaluate", "reaching", *options).finish()

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Final, final
+from uuid import UUID
 
 import numpy as np
 
@@ -142,20 +143,22 @@ def _play_part(skill: Skill, part: _Part) -> list[Played]:
 def record(task: Task, answers: list[Prediction], played: list[Played], seed: int, source: str) -> int:
     """Stores the contexts played as evaluations; returns how many were new.
 
+    The same goal in the same context of the same environment is one trial, whenever the policy is asked.
+
     Args:
         task: Where.
         answers: The policy's answers.
         played: What they gave, in order.
         seed: Of the contexts.
-        source: Launcher and environment, as part of the ids.
+        source: Environment and launcher in force, as part of the ids.
     """
     rows = [
         (answer.states[row], answer.goals[row], answer.model_version) for answer in answers for row in _rows(answer)
     ]
     trials = [
-        Trial.create(
-            task.spec,
-            id=task_id(task.name, f"evaluate/{source}/{seed}/{one.ball}/{version}"),
+        _identified(
+            task,
+            f"evaluate/{source}/{seed}/{one.ball}",
             state=state,
             goal=goal,
             cost=COST_OF_NOTHING if one.result.cost is None else one.result.cost,
@@ -170,6 +173,12 @@ def record(task: Task, answers: list[Prediction], played: list[Played], seed: in
     ]
     starts = range(0, len(trials), STORED_AT_ONCE)
     return sum(task.report_trials(trials[start : start + STORED_AT_ONCE]).accepted for start in starts)
+
+
+def _identified(task: Task, context: str, **content: Any) -> Trial:
+    """A trial whose id follows from its context and its content."""
+    trial = Trial.create(task.spec, id=UUID(int=0), **content)
+    return replace(trial, id=task_id(task.name, f"{context}/{trial.digest().hex()}"))
 
 
 def _rows(answer: Prediction) -> range:

@@ -4,14 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from crkr.protocol import Geom, TaskSpec, Trace
 
-__all__ = ["Demonstration", "Geom", "Outcome", "Skill", "SkillFactory", "SkillOptions", "Trace"]
+__all__ = [
+    "Demonstration",
+    "Geom",
+    "Outcome",
+    "Settled",
+    "Skill",
+    "SkillFactory",
+    "SkillOptions",
+    "Trace",
+    "options_in_force",
+]
 
 Floats = NDArray[np.float64]
 
@@ -93,6 +103,21 @@ class Skill(Protocol):
     def scene(self) -> Sequence[Geom]:
         """The shapes that never change, for drawing."""
         ...
+
+
+@runtime_checkable
+class Settled(Protocol):
+    """What a skill may offer beside `Skill`: what it chose where its options left it the choice."""
+
+    @property
+    def options(self) -> SkillOptions:
+        """The options in force: environment and launcher are named where the skill has any."""
+        ...
+
+
+def options_in_force(skill: Skill, asked: SkillOptions) -> SkillOptions:
+    """What a skill that was made with `asked` chose; `asked` itself if it does not say."""
+    return skill.options if isinstance(skill, Settled) else asked
 
 
 class SkillFactory(Protocol):

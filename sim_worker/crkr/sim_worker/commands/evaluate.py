@@ -49,12 +49,13 @@ def evaluate(
     from crkr.client import Client
     from crkr.sim_worker import assessment
     from crkr.sim_worker.progress import Progress
-    from crkr.sim_worker.skill import SkillOptions
+    from crkr.sim_worker.skill import SkillOptions, options_in_force
     from crkr.sim_worker.skills import load_skill
 
     name = skill or task
     options = SkillOptions(environment=environment, launcher=launcher, name=task)
     player = load_skill(name, options)
+    chosen = options_in_force(player, options)
     with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
         judged = client.task(task)
         answers = assessment.ask(judged, player, balls, seed)
@@ -66,15 +67,15 @@ def evaluate(
         score = assessment.Assessment()
         for one in played:
             score.add(one)
-        source = f"{environment or 'default'}/{launcher or 'default'}"
+        source = f"{chosen.environment or 'default'}/{chosen.launcher or 'default'}"
         stored = assessment.record(judged, answers, played, seed, source) if record else 0
         result = {
             "task": task,
             **score.to_dict(),
             "balls": balls,
             "seed": seed,
-            "environment": environment,
-            "launcher": launcher,
+            "environment": chosen.environment,
+            "launcher": chosen.launcher,
             "before_learning": _before(judged),
             "model_version": answers[0].model_version,
             "active": answers[0].active,

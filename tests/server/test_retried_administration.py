@@ -4,7 +4,7 @@ import threading
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
-from uuid import UUID
+from uuid import UUID, uuid4
 
 import msgpack
 import pytest
@@ -16,6 +16,7 @@ from crkr.server.administration import read_change
 from crkr.server.latency import Latencies
 from crkr.server.learning import Learning
 from crkr.server.log import SqliteLog
+from crkr.server.reading import Reader
 from crkr.server.request import Request
 from crkr.server.session import open_session
 from crkr.server.tasks import ServedTask, Tasks
@@ -61,12 +62,23 @@ def task(reach: dict[str, Any]) -> ServedTask:
 
 
 @pytest.fixture
-def writer(tmp_path: Path, learning: Learning, task: ServedTask) -> Iterator[Writer]:
-    log, tasks = SqliteLog(tmp_path), Tasks()
-    log.create(task.created)
-    tasks.add(task)
-    yield Writer(log, tasks, Workers(), learning)
-    log.close()
+def tasks(task: ServedTask) -> Tasks:
+    made = Tasks()
+    made.add(task)
+    return made
+
+
+@pytest.fixture
+def log(tmp_path: Path, task: ServedTask) -> Iterator[SqliteLog]:
+    made = SqliteLog(tmp_path)
+    made.create(task.created)
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def writer(log: SqliteLog, tasks: Tasks, learning: Learning) -> Writer:
+    return Writer(log, tasks, Workers(), learning)
 
 
 def test_archiving_again_is_answered_as_the_first_time(ask: Ask, make_trial: MakeTrial) -> None:
@@ -96,7 +108,8 @@ def test_who_waits_at_the_end_is_answered_by_what_was_stored(
         removal, archiving = OwnJob(), OwnJob()
         writer.commit(task, read_change("remove", {"ids": [UUID(int=2).bytes]}, task), removal)
         writer.commit(task, read_change("archive", {}, task), archiving)
-        assert not (removal.answered or archiving.answered)
+        assert not removal.answered
+        assert not archiving.answered
         learning.close(0.05)  # it never began to learn
         reply = replies.recv()
         assert reply.ok is not None
@@ -138,3 +151,55 @@ def test_who_comes_after_the_end_of_learning_is_told_so(learning: Learning, task
     failures: list[Exception | None] = []
     learning.submit(task, (), lambda _, failure: failures.append(failure))
     assert [type(failure) for failure in failures] == [ShuttingDown]
+
+
+def test_more_than_learning_can_answer_is_refused_as_busy(
+    writer: Writer,
+    log: SqliteLog,
+    tasks: Tasks,
+    learning: Learning,
+    task: ServedTask,
+    make_trial: MakeTrial,
+    free_port: int,
+    plain: Callable[[str], zenoh.Session],
+) -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port}"
+    reader = Reader(uuid4(), tasks, log.reads, learning, Workers(), Latencies(), dict)
+    trial = make_trial(1)
+    with open_session(endpoint, None) as session:
+        queries = session.declare_queryable("crkr/@v1/task/reach/**", zenoh.handlers.FifoChannel(8), complete=True)
+        asking = plain(endpoint)
+
+        def ask(work: Callable[[list[Request]], None], verb: str, message: dict[str, Any]) -> Callable[[], str]:
+            """Has it worked on; what is returned waits for the answer's code."""
+            replies = asking.get(
+                f"crkr/@v1/task/reach/{verb}",
+                zenoh.handlers.FifoChannel(1),
+                payload=msgpack.packb(message),
+                timeout=10.0,
+            )
+            work([Request(queries.recv(), Latencies())])
+
+            def code() -> str:
+                reply = replies.recv()
+                return msgpack.unpackb(reply.err.payload.to_bytes())["code"] if reply.err is not None else "OK"
+
+            return code
+
+        questions: list[tuple[Callable[[list[Request]], None], str, dict[str, Any]]] = [
+            (writer.work, "rpc/report", {"trials": [trial], "wait": True}),
+            (writer.work, "admin/configure", {"changes": {"budget": 5}}),
+            (reader.work, "rpc/explain", {"state": [0.5, 0.0], "sample_id": trial["id"]}),
+        ]
+        taken = [ask(*question) for question in questions]
+        taken.append(ask(*questions[0]))  # a duplicate
+        assert learning.asked == 4
+        while learning.asked < 1024:
+            learning.submit(task, (), lambda *_: None)
+        assert [ask(*question)() for question in questions] == ["BUSY"] * 3
+        assert ask(writer.work, "rpc/report", {"trials": [make_trial(2)]})() == "OK"  # nobody waits for learning here
+        learning.start()
+        assert [code() for code in taken] == ["OK"] * 4
+        assert [ask(*question)() for question in questions] == ["OK"] * 3
+        assert learning.close(5.0)
+        assert learning.asked == 0

@@ -11,7 +11,7 @@ from typing import Any, Final, Generic, TypeVar, final
 from crkr.protocol import Busy, CrkrError, ShuttingDown
 from crkr.server.request import Job
 
-__all__ = ["Lane", "shutting_down"]
+__all__ = ["Lane", "busy", "shutting_down"]
 
 logger = logging.getLogger(__name__)
 

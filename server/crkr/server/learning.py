@@ -51,7 +51,7 @@ class Learning:
         self._changed = threading.Condition()
         self._closing = self._closed = False
         self._deadline = 0.0  # on the monotonic clock, of what is done while closing
-        self._backlog = 0
+        self._backlog = self._asked = 0
         self._thread = threading.Thread(target=self._run, name="learning", daemon=True)
 
     def start(self) -> None:
@@ -62,6 +62,11 @@ class Learning:
     def backlog(self) -> int:
         """Trials that are committed and wait to be learned from."""
         return self._backlog
+
+    @property
+    def asked(self) -> int:
+        """Steps that somebody waits to be answered for."""
+        return self._asked
 
     def submit(
         self,
@@ -74,13 +79,14 @@ class Learning:
         Args:
             task: Whose they are.
             entries: Trials, none of them too, or one event.
-            done: Called, on the learning thread, when the model includes them, with what the learner returned and what it
-                raised: `ShuttingDown` where the server ends before its turn, `Internal` where learning is at fault.
+            done: Called when the model includes them, with what the learner returned and what went wrong: `Internal`
+                where learning is at fault; `ShuttingDown` where the server ends first, from the thread that ends it.
         """
         with self._changed:
             if not self._closed:
                 self._steps.append(_Step(task, entries, done))
                 self._backlog += _size(entries)
+                self._asked += done is not None
                 self._changed.notify()
                 return
         if done is not None:
@@ -99,6 +105,7 @@ class Learning:
         with self._changed:
             left = list(self._steps)
             self._steps.clear()
+            self._asked = 0
             self._closed = True
         for step in left:
             if step.done is not None:
@@ -122,6 +129,7 @@ class Learning:
                 group.append(self._steps.popleft())
                 count += _size(group[-1].entries)
             self._backlog -= count
+            self._asked -= sum(step.done is not None for step in group)
             return group
 
     def _apply(self, group: list[_Step]) -> None:

@@ -20,6 +20,7 @@ from crkr.protocol import (
     id_from_wire,
 )
 from crkr.protocol.checks import integer, required
+from crkr.server.lane import busy
 from crkr.server.latency import Latencies
 from crkr.server.learning import Learning
 from crkr.server.log import LogReader
@@ -30,6 +31,7 @@ from crkr.server.workers import Workers
 __all__ = ["Reader"]
 
 _MOST_SAMPLES: Final = 10_000
+_MOST_ASKED: Final = 64  # steps of learning that are waited for, after which it explains no sample
 _PAGE_BYTES: Final = MAX_MESSAGE_BYTES // 2  # a page ends early rather than exceed what a message may be
 
 
@@ -151,6 +153,8 @@ class Reader:
             except Exception as error:
                 request.fail_unexpectedly(error)
 
+        if self._learning.asked >= _MOST_ASKED:
+            raise busy(request.verb)
         request.held = True
         self._learning.submit(task, (), answer)  # where one sample stands only the learner itself knows
 

@@ -18,6 +18,7 @@ from crkr.protocol import (
     TaskSpec,
 )
 from crkr.server.administration import Change, read_change
+from crkr.server.lane import busy
 from crkr.server.learning import Learning
 from crkr.server.log import Event, PendingReport, Stored, TaskLog
 from crkr.server.request import Job, Request
@@ -31,6 +32,7 @@ logger = logging.getLogger(__name__)
 MOST_REPORTS: Final = 256  # in one commit
 _KNOWN_BEFORE: Final = frozenset({"archive", "fit"})  # what other changes did only the learner can tell
 _MOST_BACKLOG: Final = 20_000  # committed trials that wait to be learned from
+_MOST_ASKED: Final = 1024  # steps of learning that are waited for; a commit of reports may add to them
 
 
 @final
@@ -87,7 +89,14 @@ class Writer:
         _refuse_archived(task)
         if self._learning.backlog > _MOST_BACKLOG:
             raise Busy(f"{self._learning.backlog} trials wait to be learned from; ask again later", retry_ms=500)
-        return task, ReportRequest.from_wire(request.message(), task.created)
+        asked = ReportRequest.from_wire(request.message(), task.created)
+        if asked.wait:  # a duplicate too, which adds no trial to the backlog
+            self._refuse_when_full(request)
+        return task, asked
+
+    def _refuse_when_full(self, request: Request) -> None:
+        if self._learning.asked >= _MOST_ASKED:
+            raise busy(request.verb)
 
     def _acknowledge(self, request: Request, task: ServedTask, asked: ReportRequest, result: Stored | Conflict) -> None:
         if isinstance(result, Conflict):
@@ -134,6 +143,7 @@ class Writer:
     def _change(self, request: Request) -> None:
         task = self._tasks.get(request.task)
         change = read_change(request.verb, request.message(), task)
+        self._refuse_when_full(request)
         self.commit(task, change, request)
 
     def commit(self, task: ServedTask, change: Change, request: Job) -> None:

@@ -11,8 +11,9 @@ import pytest
 import zenoh
 
 from crkr.learner import Model
-from crkr.protocol import CrkrError, ShuttingDown, TaskSpec, task_key
-from crkr.server.administration import read_change
+from crkr.protocol import Conflict, CrkrError, Invalid, ShuttingDown, TaskSpec, task_key
+from crkr.server.administration import Change, read_change
+from crkr.server.fitting import Fitting
 from crkr.server.latency import Latencies
 from crkr.server.learning import Learning
 from crkr.server.log import SqliteLog
@@ -203,3 +204,31 @@ def test_more_than_learning_can_answer_is_refused_as_busy(
         assert [ask(*question)() for question in questions] == ["OK"] * 3
         assert learning.close(5.0)
         assert learning.asked == 0
+
+
+def test_a_fit_of_settings_that_were_changed_meanwhile_is_not_stored(
+    writer: Writer, log: SqliteLog, learning: Learning, task: ServedTask
+) -> None:
+    fitted = {"lengthscales": [0.3, 0.3], "signal_variance": 2.0, "evidence_before": 0.0, "evidence_after": 1.0}
+    fit, before = Change("fit", fitted, lambda _task, _applied: {"accepted": True}), task.configured
+    writer.commit(task, read_change("configure", {"changes": {"budget": 5}}, task), OwnJob())
+    with pytest.raises(Conflict, match="configured anew"):
+        writer.commit(task, fit, OwnJob(), before)
+    assert task.seq == 2
+    job = OwnJob()
+    writer.commit(task, fit, job, task.configured)
+    learning.start()
+    writer.commit(task, read_change("archive", {}, task), OwnJob())
+    assert learning.close(10.0)
+    assert (job.message["accepted"], job.message["seq"]) == (True, 3)
+    assert task.model.parameters.kernel.lengthscales.tolist() == [0.3, 0.3]
+
+
+def test_an_archived_task_is_refused_before_anything_is_fitted(
+    tasks: Tasks, task: ServedTask, writer: Writer, learning: Learning
+) -> None:
+    writer.commit(task, read_change("archive", {}, task), OwnJob())
+    with pytest.raises(Invalid, match="archived"):  # and not a wait for learning, which never began
+        Fitting(tasks, learning, writer).work([OwnJob()])
+    assert learning.asked == 1
+    learning.close(0.05)

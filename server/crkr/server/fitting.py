@@ -13,13 +13,13 @@ from multiprocessing.connection import Connection
 from typing import Any, Final, final
 
 from crkr.learner import FitProblem, FitResult, fit
-from crkr.protocol import Conflict, CrkrError, Internal, ShuttingDown
+from crkr.protocol import CrkrError, Internal, ShuttingDown
 from crkr.server.administration import Change
 from crkr.server.lane import shutting_down
 from crkr.server.learning import Learning
 from crkr.server.request import Job, Request
 from crkr.server.tasks import ServedTask, Tasks
-from crkr.server.writing import Writer
+from crkr.server.writing import Writer, refuse_archived
 
 __all__ = ["DueFit", "Fitting"]
 
@@ -72,17 +72,16 @@ class Fitting:
             task = self._tasks.get(job.task)
             if isinstance(job, Request):
                 job.message()
+            refuse_archived(task)
             configured = task.configured
             result = self._fit(self._problem(task))
             found = _fields(result)
             if not result.accepted:
                 job.reply({**found, "seq": task.seq, "model_version": task.model.version})
                 continue
-            if task.configured != configured:
-                raise Conflict(f"task {task.name!r} was configured anew during the fit; ask again")
             body = {"lengthscales": result.lengthscales.tolist(), "signal_variance": result.signal_variance}
             evidence = {"evidence_before": result.before, "evidence_after": result.after}
-            self._writer.commit(task, Change("fit", {**body, **evidence}, _answer(found)), job)
+            self._writer.commit(task, Change("fit", {**body, **evidence}, _answer(found)), job, configured)
 
     def stop(self) -> None:
         """Gives up the fit at hand and ends the process."""

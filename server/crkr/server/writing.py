@@ -25,7 +25,7 @@ from crkr.server.request import Job, Request
 from crkr.server.tasks import ServedTask, Tasks
 from crkr.server.workers import Workers
 
-__all__ = ["MOST_REPORTS", "Writer"]
+__all__ = ["MOST_REPORTS", "Writer", "refuse_archived"]
 
 logger = logging.getLogger(__name__)
 
@@ -86,7 +86,7 @@ class Writer:
 
     def _decode(self, request: Request) -> tuple[ServedTask, ReportRequest]:
         task = self._tasks.get(request.task)
-        _refuse_archived(task)
+        refuse_archived(task)
         if self._learning.backlog > _MOST_BACKLOG:
             raise Busy(f"{self._learning.backlog} trials wait to be learned from; ask again later", retry_ms=500)
         asked = ReportRequest.from_wire(request.message(), task.created)
@@ -146,16 +146,23 @@ class Writer:
         self._refuse_when_full(request)
         self.commit(task, change, request)
 
-    def commit(self, task: ServedTask, change: Change, request: Job) -> None:
-        """Commits a change and answers the request when the model includes it; any thread may."""
+    def commit(self, task: ServedTask, change: Change, request: Job, configured: int | None = None) -> None:
+        """Commits a change and answers the request when the model includes it; any thread may.
+
+        Raises:
+            Conflict: The task was configured after log position `configured`, from which the change was worked out.
+            Invalid: The task is archived, or has no such trial.
+        """
         with self._order:
+            if configured is not None and task.configured != configured:
+                raise Conflict(f"task {task.name!r} was configured anew meanwhile; ask again")
             self._commit_change(task, change, request)
 
     def _commit_change(self, task: ServedTask, change: Change, request: Job) -> None:
         if task.archived and change.kind == "archive":  # asked again, perhaps because the answer was lost
             self._await(task, (), task.seq, change, request)
             return
-        _refuse_archived(task)
+        refuse_archived(task)
         missing = self._log.reads.missing(task.name, change.ids)
         if missing:
             listed = ", ".join(str(one) for one in missing[:5])
@@ -190,6 +197,7 @@ def _settle(request: Job, failure: Exception | None, message: Mapping[str, Any])
         request.fail_unexpectedly(failure)
 
 
-def _refuse_archived(task: ServedTask) -> None:
+def refuse_archived(task: ServedTask) -> None:
+    """Raises `Invalid` for a task that is archived."""
     if task.archived:
         raise Invalid(f"task {task.name!r} is archived: it answers reads only", details={"task": task.name})

@@ -161,7 +161,7 @@ def test_a_second_server_refuses_the_data_directory_and_the_port(start_server: S
     assert "in use" in line
     line = refusal("--data", str(tmp_path / "other"), "--listen", server.endpoint)
     assert server.endpoint in line
-    assert "ddress already in use" in line
+    assert "the port is in use" in line
 
 
 def test_a_server_that_cannot_start_says_why_in_one_line_and_leaves(tmp_path: Path) -> None:

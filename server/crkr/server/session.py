@@ -48,7 +48,10 @@ def open_session(listen: str | None, config_file: Path | None) -> zenoh.Session:
         return zenoh.open(config)
     except zenoh.ZError as error:
         where = ", ".join(json.loads(config.get_json("listen/endpoints")))
-        raise Unavailable(f"cannot listen on {where}: {_reason(error)}") from error
+        reason = _reason(error)
+        if "Address already in use" in reason:
+            reason = "the port is in use; stop what listens there or choose another"
+        raise Unavailable(f"cannot listen on {where}: {reason}") from error
 
 
 def _config(listen: str | None, config_file: Path | None) -> zenoh.Config:

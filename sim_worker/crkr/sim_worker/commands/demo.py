@@ -45,11 +45,13 @@ def demo(
     Example: crkr demo --trials 1500 --seed 3
     """
     from crkr.sim_worker.demo.display import print_summary
+    from crkr.sim_worker.demo.equipment import check_equipment
     from crkr.sim_worker.demo.session import run_demo
     from crkr.sim_worker.demo.settings import DemoSettings
     from crkr.sim_worker.progress import Progress
     from crkr.sim_worker.skills import check_skill
 
+    check_equipment(dashboard)
     settings = DemoSettings(
         skill=check_skill(skill),
         task=skill if ":" not in skill else skill.split(":")[0].split(".")[-1].replace("_", "-").lower(),
@@ -62,9 +64,11 @@ def demo(
         dashboard=dashboard,
         stay=stay,
     )
-    stderr.print(f"{workers} workers learn {skill}; server at {settings.endpoint}, everything in {data}")
     connect = "" if port == DEFAULT_PORT else f" --connect {settings.endpoint}"
-    stderr.print(f"ask it from another terminal: crkr status {settings.task}{connect}")
+    welcome = (
+        f"{workers} workers learn {skill}; server at {settings.endpoint}, everything in {data}",
+        f"ask it from another terminal: crkr status {settings.task}{connect}",
+    )
 
     def finished(result: DemoResult) -> None:
         progress.close()
@@ -76,7 +80,7 @@ def demo(
             stderr.print("server and viewer stay until you press Enter")
 
     with Progress(stderr, "learning", trials, "trials") as progress:
-        result = run_demo(settings, progress.say, progress.show, finished)
+        result = run_demo(settings, welcome, progress.say, progress.show, finished)
     if result.stopped_by is not None:
         stderr.print(f"stopped by {result.stopped_by}; the same command takes the run up again")
     if result.problem is not None:

@@ -7,7 +7,8 @@ import time
 from collections.abc import Callable
 from typing import Any, Final, final
 
-from crkr.protocol import CrkrError
+from crkr.client import Client
+from crkr.protocol import CrkrError, Unavailable
 from crkr.sim_worker.demo.child import Child
 from crkr.sim_worker.demo.settings import DemoSettings
 from crkr.sim_worker.stop_request import StopRequest
@@ -15,6 +16,7 @@ from crkr.sim_worker.stop_request import StopRequest
 __all__ = ["Crew", "DemoFailed"]
 
 START_S: Final = 30.0
+REACH_S: Final = 5.0
 TICK_S: Final = 0.1
 WORKERS_END_S: Final = 2.6
 REST_END_S: Final = 2.0
@@ -48,11 +50,11 @@ class Crew:
         self._watch: Child | None = None
         self._workers: Child | None = None
 
-    def start_server(self, stop: StopRequest) -> bool:
-        """Starts the server and waits until it listens; False when stopped meanwhile.
+    def start_server(self, stop: StopRequest, client: Client) -> bool:
+        """Starts the server and waits until it answers; False when stopped meanwhile.
 
         Raises:
-            DemoFailed: It ended, or is silent for too long.
+            DemoFailed: It ended, is silent for too long, or listens and cannot be reached.
         """
         settings = self._settings
         self._server = self._child("server", ["server", "--listen", settings.endpoint, "--data", str(settings.data)])
@@ -65,6 +67,11 @@ class Crew:
             if stop:
                 return False
             time.sleep(TICK_S)
+        try:
+            client.wait_until_ready(REACH_S)
+        except Unavailable as error:
+            where = settings.endpoint
+            raise DemoFailed(f"the server listens at {where} and cannot be reached; is the loopback up?") from error
         return True
 
     def start_dashboard(self, stop: StopRequest) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import select
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -45,6 +45,7 @@ class DemoResult:
 
 def run_demo(
     settings: DemoSettings,
+    welcome: Sequence[str],
     say: Callable[[str], None],
     show: Callable[[int, str], None],
     finished: Callable[[DemoResult], None],
@@ -53,23 +54,28 @@ def run_demo(
 
     Args:
         settings: What to run.
+        welcome: Lines to say once the server answers.
         say: Prints a line for people.
         show: Shows the training trials stored and a remark, often.
         finished: Shows the result; server and viewer are still there, if they are to stay.
 
     Raises:
-        DemoFailed: The server did not start.
-        OSError: The data folder cannot be written.
+        DemoFailed: The data folder cannot be written, or the server did not start.
     """
     started = time.monotonic()
-    settings.logs.mkdir(parents=True, exist_ok=True)
+    _make_folder(settings)
     with ExitStack() as cleanup, StopRequest() as stop:
         crew = Crew(settings, say)
         cleanup.callback(lambda: crew.stop_rest(hurry=True))
         cleanup.callback(crew.stop_workers)
         client = cleanup.enter_context(Client(settings.endpoint, timeout_s=CALL_S))
         follower = Follower(client, settings.task)
-        problem = _run(settings, crew, follower, stop, say, show)
+        if crew.start_server(stop, client):
+            for line in welcome:
+                say(line)
+            problem = _run(settings, crew, follower, stop, say, show)
+        else:
+            problem = None
         crew.stop_workers(hurry=bool(stop))
         follower.look(thoroughly=True)
         if not settings.stay or stop or problem:
@@ -79,6 +85,14 @@ def run_demo(
         if settings.stay and not problem:
             _stay(stop)
     return result
+
+
+def _make_folder(settings: DemoSettings) -> None:
+    try:
+        settings.logs.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        reason = "it is a file" if isinstance(error, NotADirectoryError | FileExistsError) else error.strerror
+        raise DemoFailed(f"data folder {settings.data} cannot be written: {reason}; choose another --data") from error
 
 
 def _stay(stop: StopRequest) -> None:
@@ -96,8 +110,6 @@ def _run(
     show: Callable[[int, str], None],
 ) -> str | None:
     """Runs until the workers are done or a signal comes; what went wrong meanwhile is returned."""
-    if not crew.start_server(stop):
-        return None
     follower.begin()
     if follower.history is not None:
         say(f"resuming: {follower.history.trained} training trials are in {settings.data}")

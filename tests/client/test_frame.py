@@ -10,7 +10,7 @@ import typer
 from typer.testing import CliRunner
 
 from crkr.client import frame
-from crkr.client.guard import guarded, reason_missing
+from crkr.client.guard import guarded, reason_missing, require
 from crkr.protocol import Busy
 
 
@@ -91,6 +91,7 @@ def test_a_mistyped_command_is_wrong_usage_with_a_suggestion(entries: list[Entry
         ("rerun", "crkr.dashboard.command", "dashboard"),
         ("scipy", "crkr.server.command", "server"),
         ("scipy", "crkr.client.mirror", "mirror"),
+        ("scipy", "crkr.client.bench.predict", "server"),
         ("sklearn.linear_model", "crkr.experiments.study", "experiments"),
         ("matplotlib", "crkr.experiments.figures", "sim"),
     ],
@@ -119,6 +120,13 @@ def test_an_expected_failure_is_one_line_and_an_exit_status(error: BaseException
     assert result.exit_code == status
     assert line in result.stderr
     assert result.stderr.count("\n") == 1
+
+
+def test_what_a_child_process_needs_is_missed_before_it_starts() -> None:
+    require("numpy", "zenoh")
+    with pytest.raises(ModuleNotFoundError) as caught:
+        require("numpy", "no_such_package")
+    assert caught.value.name == "no_such_package"
 
 
 def test_a_defect_keeps_its_traceback() -> None:

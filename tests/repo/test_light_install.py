@@ -4,10 +4,12 @@ import json
 import subprocess
 import sys
 
+import pytest
+
 HEAVY = ["clarabel", "coal", "joblib", "matplotlib", "mujoco", "pinocchio", "rerun", "scipy", "sklearn"]
 
-# Runs a statement where the extras cannot be imported at all, and prints which modules came in.
-HARNESS = """
+# The extras cannot be imported at all.
+FINDER = """
 import importlib.abc, json, sys
 
 class Absent(importlib.abc.MetaPathFinder):
@@ -16,13 +18,20 @@ class Absent(importlib.abc.MetaPathFinder):
             raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 
 sys.meta_path.insert(0, Absent())
+"""
+# Runs a statement there, and prints which modules came in.
+HARNESS = (
+    FINDER
+    + """
 try:
     STATEMENT
 except SystemExit as exit:
     assert not exit.code, exit.code
 print(json.dumps(sorted({name.split(".")[0] for name in sys.modules})), file=sys.stderr)
 """
-HELP = "sys.argv = ['crkr', '--help']; from crkr.client.main import main; main()"
+)
+START = "from crkr.client.main import main; main()"
+HELP = f"sys.argv = ['crkr', '--help']; {START}"
 
 
 def _run(statement: str, *, block: bool) -> tuple[str, set[str]]:
@@ -49,6 +58,26 @@ def test_the_client_and_the_command_work_without_the_extras() -> None:
     _run("from crkr.client import *; from crkr.protocol import *", block=True)
     text, _ = _run(HELP, block=True)
     assert "server" in text
+
+
+@pytest.mark.parametrize(
+    ("command", "extra"),
+    [
+        ("bench learn", "experiments"),
+        ("bench predict", "server"),
+        ("bench report", "server"),
+        ("bench sim", "experiments"),
+        ("experiment learning", "experiments"),
+        ("plot policy throw --vary x", "sim"),
+    ],
+)
+def test_a_command_without_its_extra_says_so_in_one_line(command: str, extra: str) -> None:
+    arguments = ["crkr", *command.split()]
+    code = f"HEAVY, BLOCK = {HEAVY!r}, True\n" + FINDER + f"sys.argv = {arguments!r}\n{START}"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 1
+    name = " ".join(command.split()[:2])
+    assert done.stderr == f"error: crkr {name} needs the extra '{extra}': pip install 'crkr[{extra}]'\n"
 
 
 def test_a_heavy_import_is_seen() -> None:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
+from importlib.util import find_spec
 from typing import Final
 
 import typer
 
 from crkr.protocol import CrkrError
 
-__all__ = ["guarded", "reason_missing"]
+__all__ = ["guarded", "reason_missing", "require"]
 
 # Import name of an extra's package -> extras that bring it, the first unless the command's own is among them.
 _EXTRAS: Final = {
@@ -27,6 +28,7 @@ _EXTRAS: Final = {
 }
 _EXTRA_OF_PART: Final = {
     "client": "mirror",
+    "client.bench": "server",  # it starts one
     "server": "server",
     "sim_worker": "sim",
     "dashboard": "dashboard",
@@ -58,13 +60,25 @@ def guarded(function: Callable[..., object], command: str, module: str) -> Calla
     return run
 
 
+def require(*packages: str) -> None:
+    """Looks for what a child process is about to import, so that the command says what is missing, not the child.
+
+    Raises:
+        ModuleNotFoundError: For the first package that is not installed.
+    """
+    for package in packages:
+        if find_spec(package) is None:
+            raise ModuleNotFoundError(f"No module named {package!r}", name=package)
+
+
 def reason_missing(error: Exception, command: str, module: str) -> str:
     """Which extra to install for a command that lacks a package."""
     package = (getattr(error, "name", None) or "").split(".")[0]
     extras = _EXTRAS.get(package)
     if extras is None:
         return f"crkr {command} cannot be loaded: {error}"
-    own = _EXTRA_OF_PART.get(module.split(".")[1] if "." in module else "", "")
+    part, subpart = [*module.split(".")[1:3], "", ""][:2]
+    own = _EXTRA_OF_PART.get(f"{part}.{subpart}") or _EXTRA_OF_PART.get(part, "")
     extra = own if own in extras else extras[0]
     return f"crkr {command} needs the extra '{extra}': pip install 'crkr[{extra}]'"
 

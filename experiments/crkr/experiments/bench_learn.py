@@ -13,6 +13,8 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from crkr.client.guard import require
+
 __all__ = ["Row", "learn"]
 
 _ONE_THREAD: Final = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
@@ -51,6 +53,7 @@ def learn(
 
     Example: crkr bench learn --quick --json
     """
+    require("scipy", "sklearn")
     command = [sys.executable, "-m", "crkr.experiments.bench_learn_measure", *["--quick"] * quick]
     # A process of its own: the number of BLAS threads is settled when numpy is first imported.
     done = subprocess.run(command, env={**os.environ, **_ONE_THREAD}, stdout=subprocess.PIPE, check=False)

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import IO, Final, final
 
 from crkr.client.client import Client
+from crkr.client.guard import require
 from crkr.protocol import Unavailable
 
 __all__ = ["Load", "echoing", "loading", "serving", "start_server", "stop"]
@@ -29,6 +30,7 @@ def _free_endpoint() -> str:
 
 def start_server(data: Path) -> tuple[subprocess.Popen[bytes], str]:
     """A server process on a free port, and its endpoint; it may not be ready yet."""
+    require("scipy")  # or it would die unheard, and the wait for it would be long
     endpoint = _free_endpoint()
     command = [sys.executable, "-m", "crkr.client", "server", "--listen", endpoint, "--data", str(data)]
     quiet = {**os.environ, **_ONE_THREAD, "CRKR_LOG_LEVEL": "warning"}

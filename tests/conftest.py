@@ -1,15 +1,17 @@
-"""Fixtures that every part's tests may ask for: a free port, and a real server in a process of its own."""
+"""Fixtures that every part's tests may ask for: a free port, a real server, and questions about processes."""
 
 import os
 import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
 import zenoh
@@ -17,6 +19,7 @@ import zenoh
 INFO = "crkr/@v1/rpc/info"
 READY_WITHIN_S = 20.0
 GONE_WITHIN_S = 10.0
+PATIENCE_S = 60.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,6 +96,59 @@ def stop(process: subprocess.Popen[bytes]) -> None:
     except subprocess.TimeoutExpired:
         process.kill()
         pytest.fail(f"process {process.pid} did not end within {GONE_WITHIN_S} s of SIGTERM")
+
+
+def wait_until(look: Callable[[], Any], log: Path | None = None) -> Any:
+    """What `look` gives as soon as that is true; fails after a long patience: speed is not the question."""
+    deadline, pause = time.monotonic() + PATIENCE_S, threading.Event()
+    while not (found := look()):
+        if time.monotonic() > deadline:
+            pytest.fail(f"waited in vain; the log says:\n{log.read_text() if log else ''}")
+        pause.wait(0.02)
+    return found
+
+
+def children(pid: int) -> list[int]:
+    """Processes that a process has started and that still run."""
+    try:
+        return [int(word) for word in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+    except FileNotFoundError:
+        return []
+
+
+def descendants(pid: int) -> list[int]:
+    """Children, their children, and so on."""
+    return [each for child in children(pid) for each in [child, *descendants(child)]]
+
+
+def command_line(pid: int) -> str:
+    """Words of a process; empty when it is gone."""
+    try:
+        return Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").decode()
+    except (FileNotFoundError, ProcessLookupError):
+        return ""
+
+
+def running(pids: list[int]) -> list[int]:
+    """Those of the processes that still run; one that only waits to be collected does not."""
+    return [pid for pid in pids if command_line(pid)]
+
+
+@dataclass(frozen=True, slots=True)
+class Processes:
+    """What tests ask about processes and time."""
+
+    wait_until: Callable[..., Any] = wait_until
+    children: Callable[[int], list[int]] = children
+    descendants: Callable[[int], list[int]] = descendants
+    running: Callable[[list[int]], list[int]] = running
+    command_line: Callable[[int], str] = command_line
+
+
+@pytest.fixture(scope="session")
+def processes() -> Processes:
+    """Questions about processes."""
+    return Processes()
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""Commands in processes of their own, with a skill of this folder, always ended; and a way to wait without a nap."""
+"""Commands in processes of their own, with a skill of this folder, always ended."""
 
 import json
 import os
@@ -7,9 +7,7 @@ import signal
 import socket
 import subprocess
 import sys
-import threading
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,6 +27,7 @@ class Command:
 
     process: subprocess.Popen[str]
     log: Path
+    processes: Any
 
     def finish(self) -> tuple[int, str, str]:
         """Exit status, standard output and standard error at its end."""
@@ -44,12 +43,16 @@ class Command:
 
     def wait_for_line(self, text: str) -> str:
         """The first line of its standard error that contains `text`."""
-        lines = wait_until(lambda: [line for line in self.log.read_text().splitlines() if text in line], self.log)
+        lines = self.processes.wait_until(
+            lambda: [line for line in self.log.read_text().splitlines() if text in line], self.log
+        )
         return str(lines[0])
 
     def members(self) -> list[int]:
         """Processes that it started by `multiprocessing`: evaluator and workers, not the resource tracker."""
-        return [pid for pid in children(self.process.pid) if "spawn_main" in command_line(pid)]
+        return [
+            pid for pid in self.processes.children(self.process.pid) if "spawn_main" in self.processes.command_line(pid)
+        ]
 
 
 class StartCommand(Protocol):
@@ -58,49 +61,13 @@ class StartCommand(Protocol):
     def __call__(self, *words: str) -> Command: ...
 
 
-def wait_until(look: Callable[[], Any], log: Path | None = None) -> Any:
-    """What `look` gives as soon as that is true; fails after the patience."""
-    deadline, pause = time.monotonic() + PATIENCE_S, threading.Event()
-    while not (found := look()):
-        if time.monotonic() > deadline:
-            pytest.fail(f"waited in vain; the log says:\n{log.read_text() if log else ''}")
-        pause.wait(0.02)
-    return found
-
-
-def children(pid: int) -> list[int]:
-    """Processes that a process has started and that still run."""
-    try:
-        return [int(word) for word in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
-    except FileNotFoundError:
-        return []
-
-
-def descendants(pid: int) -> list[int]:
-    """Children, their children, and so on."""
-    return [each for child in children(pid) for each in [child, *descendants(child)]]
-
-
-def command_line(pid: int) -> str:
-    """Words of a process; empty when it is gone."""
-    try:
-        return Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").decode()
-    except (FileNotFoundError, ProcessLookupError):
-        return ""
-
-
-def running(pids: list[int]) -> list[int]:
-    """Those of the processes that still run; one that only waits to be collected does not."""
-    return [pid for pid in pids if command_line(pid)]
-
-
 def environment() -> dict[str, str]:
     """This process's, with the skills of this folder importable and one thread for each process's algebra."""
     return {**os.environ, "PYTHONPATH": str(HERE), "OPENBLAS_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1"}
 
 
 @contextmanager
-def commands(folder: Path) -> Iterator[StartCommand]:
+def commands(folder: Path, processes: Any) -> Iterator[StartCommand]:
     """Starts commands; whatever still runs at the end is ended."""
     count = iter(range(100))
     with ExitStack() as stack:
@@ -119,15 +86,15 @@ def commands(folder: Path) -> Iterator[StartCommand]:
                 )
             )
             stack.callback(end, process)
-            return Command(process, log)
+            return Command(process, log, processes)
 
         yield start
 
 
 @pytest.fixture
-def start_command(tmp_path: Path) -> Iterator[StartCommand]:
+def start_command(tmp_path: Path, processes: Any) -> Iterator[StartCommand]:
     """Starts commands in the test's folder."""
-    with commands(tmp_path) as start:
+    with commands(tmp_path, processes) as start:
         yield start
 
 
@@ -143,21 +110,23 @@ class FinishedRun:
 
 
 @pytest.fixture(scope="session")
-def shared_endpoint(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+def shared_endpoint(tmp_path_factory: pytest.TempPathFactory, processes: Any) -> Iterator[str]:
     """A server that tests share, each with a task of its own."""
     folder = tmp_path_factory.mktemp("server")
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
-    with commands(folder) as start:
+    with commands(folder, processes) as start:
         start("server", "--listen", endpoint, "--data", str(folder / "data")).wait_for_line("listening on")
         yield endpoint
 
 
 @pytest.fixture(scope="session")
-def finished_run(shared_endpoint: str, tmp_path_factory: pytest.TempPathFactory) -> Iterator[FinishedRun]:
+def finished_run(
+    shared_endpoint: str, tmp_path_factory: pytest.TempPathFactory, processes: Any
+) -> Iterator[FinishedRun]:
     """Two workers, 120 trials, ten fixed contexts, seed 1."""
-    with commands(tmp_path_factory.mktemp("finished")) as start, Client(shared_endpoint) as client:
+    with commands(tmp_path_factory.mktemp("finished"), processes) as start, Client(shared_endpoint) as client:
         task = client.task("reaching")
         with task.subscribe(("trial", "evaluation")) as subscription:
             options = {"-n": 2, "--trials": 120, "--evaluations": 10, "--seed": 1, "--connect": shared_endpoint}
@@ -175,26 +144,9 @@ def end(process: subprocess.Popen[str]) -> None:
     if process.poll() is None:
         process.send_signal(signal.SIGTERM)
         try:
-            process.wait(timeout=10)
+            process.wait(timeout=PATIENCE_S)
         except subprocess.TimeoutExpired:
             process.kill()
-
-
-@dataclass(frozen=True, slots=True)
-class Processes:
-    """What tests ask about processes and time."""
-
-    wait_until: Callable[..., Any] = wait_until
-    children: Callable[[int], list[int]] = children
-    descendants: Callable[[int], list[int]] = descendants
-    running: Callable[[list[int]], list[int]] = running
-    command_line: Callable[[int], str] = command_line
-
-
-@pytest.fixture
-def processes() -> Processes:
-    """Questions about processes."""
-    return Processes()
 
 
 @pytest.fixture

@@ -6,7 +6,6 @@ import signal
 import socket
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
@@ -27,6 +26,7 @@ class Demo:
 
     process: subprocess.Popen[str]
     log: Path
+    processes: Any
 
     def finish(self) -> tuple[int, dict[str, Any], str]:
         """Exit status, its JSON object (empty if it printed none) and its standard error."""
@@ -39,41 +39,24 @@ class Demo:
         return result
 
     def wait_for(self, text: str) -> None:
-        wait_until(lambda: text in self.log.read_text() or self.process.poll() is not None, self.log)
+        self.wait_until(lambda: text in self.log.read_text() or self.process.poll() is not None)
         assert text in self.log.read_text()
 
+    def wait_until(self, look: Callable[[], Any]) -> Any:
+        return self.processes.wait_until(look, self.log)
 
-def wait_until(look: Callable[[], Any], log: Path) -> Any:
-    deadline, pause = time.monotonic() + PATIENCE_S, threading.Event()
-    while not (found := look()):
-        if time.monotonic() > deadline:
-            pytest.fail(f"waited in vain; the log says:\n{log.read_text()}")
-        pause.wait(0.05)
-    return found
-
-
-def descendants(pid: int) -> list[int]:
-    try:
-        children = [int(word) for word in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
-    except FileNotFoundError:
-        return []
-    return [each for child in children for each in [child, *descendants(child)]]
-
-
-def words(pid: int) -> str:
-    """Command line of a process that runs; empty for one that is gone or waits to be collected."""
-    try:
-        return Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").decode()
-    except (FileNotFoundError, ProcessLookupError):
-        return ""
+    def members(self) -> list[int]:
+        """Every process that it has started, and theirs."""
+        members: list[int] = self.processes.descendants(self.process.pid)
+        return members
 
 
 def named(demo: Demo, text: str) -> list[int]:
-    return [pid for pid in descendants(demo.process.pid) if text in words(pid)]
+    return [pid for pid in demo.members() if text in demo.processes.command_line(pid)]
 
 
 @pytest.fixture
-def start_demo(tmp_path: Path) -> Iterator[Callable[..., Demo]]:
+def start_demo(tmp_path: Path, processes: Any) -> Iterator[Callable[..., Demo]]:
     """Starts demos in an empty folder; what still runs at the end of the test is ended."""
     count = iter(range(100))
     with ExitStack() as stack:
@@ -98,7 +81,7 @@ def start_demo(tmp_path: Path) -> Iterator[Callable[..., Demo]]:
                 )
             )
             stack.callback(process.kill)
-            return Demo(process, log)
+            return Demo(process, log, processes)
 
         yield start
 
@@ -124,7 +107,7 @@ def test_a_short_demo_of_table_tennis_learns_and_leaves_what_it_says(
         assert 0.0 <= rates["strict"] <= rates["paper"] <= 1.0
     assert result["success_before"]["paper"] > 0.2  # five demonstrations are worth something
     assert result["trials_per_second"] > 0.0
-    assert 0.0 < result["wall_seconds"] < PATIENCE_S
+    assert result["wall_seconds"] > 0.0
     assert 5 <= result["active"] <= 65
     assert result["recording"] is None
     assert Path(result["figure"]).read_bytes().startswith(b"\x89PNG")
@@ -149,15 +132,15 @@ def test_a_demo_on_the_same_data_is_resumed_with_its_own_seed(start_demo: Callab
 def test_ctrl_c_leaves_a_summary_and_a_log_that_goes_on_and_no_process(start_demo: Callable[..., Demo]) -> None:
     demo = start_demo(*QUICK, "--trials", "100000")
     demo.wait_for("exact")
-    processes = descendants(demo.process.pid)
+    members = demo.members()
     sent = time.monotonic()
     demo.process.send_signal(signal.SIGINT)
+    demo.wait_until(lambda: not demo.processes.running(members))
+    assert time.monotonic() - sent < 5.0  # that is the promise; then the figure is drawn
     status, result, _ = demo.finish()
-    assert time.monotonic() - sent < 8.0  # five seconds for the processes, then the figure is drawn
     assert status == 130
     assert result["stopped_by"] == "SIGINT"
     assert result["trials"] > 0
-    assert not [pid for pid in processes if words(pid)]
     again = start_demo(*QUICK, "--trials", "10").result()
     assert again["trials"] == result["trials"]
     assert {epoch["balls"] for epoch in again["epochs"]} == {50}
@@ -166,15 +149,15 @@ def test_ctrl_c_leaves_a_summary_and_a_log_that_goes_on_and_no_process(start_dem
 def test_nothing_outlives_a_killed_demo(start_demo: Callable[..., Demo]) -> None:
     demo = start_demo(*QUICK, "--trials", "100000")
     demo.wait_for("exact")
-    processes = descendants(demo.process.pid)
-    assert len(processes) >= 4
+    members = demo.members()
+    assert len(members) >= 4
     demo.process.kill()
-    wait_until(lambda: not [pid for pid in processes if words(pid)], demo.log)
+    demo.wait_until(lambda: not demo.processes.running(members))
 
 
 def test_a_demo_goes_on_without_a_killed_worker_and_says_so(start_demo: Callable[..., Demo]) -> None:
     demo = start_demo(*QUICK, "--trials", "700")
-    workers = wait_until(lambda: named(demo, "spawn_main")[1:] and named(demo, "spawn_main"), demo.log)
+    workers = demo.wait_until(lambda: named(demo, "spawn_main")[1:] and named(demo, "spawn_main"))
     os.kill(workers[0], signal.SIGKILL)
     result = demo.result()
     assert "was killed by SIGKILL; 1 of 2 go on" in demo.log.read_text()
@@ -185,13 +168,13 @@ def test_a_demo_goes_on_without_a_killed_worker_and_says_so(start_demo: Callable
 def test_a_demo_whose_server_dies_ends_everything_with_one_line(start_demo: Callable[..., Demo]) -> None:
     demo = start_demo(*QUICK, "--trials", "100000")
     demo.wait_for("exact")
-    processes = descendants(demo.process.pid)
+    members = demo.members()
     os.kill(named(demo, " server ")[0], signal.SIGKILL)
     status, result, log = demo.finish()
     assert status == 1
     assert [line for line in log.splitlines() if line.startswith("error: ")] == [f"error: {result['problem']}"]
     assert "the server ended with status -9" in result["problem"]
-    assert not [pid for pid in processes if words(pid)]
+    assert not demo.processes.running(members)
 
 
 def test_a_demo_goes_on_without_a_dashboard_that_fails(start_demo: Callable[..., Demo], without_rerun: Path) -> None:

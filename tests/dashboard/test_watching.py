@@ -168,7 +168,10 @@ def test_a_question_to_a_silent_server_does_not_delay_the_end(server: Any, crane
 def test_a_missing_server_is_waited_for_and_then_named(free_port: int) -> None:
     said: list[str] = []
     endpoint = f"tcp/127.0.0.1:{free_port}"
-    with Client(endpoint, timeout_s=0.5) as client, pytest.raises(Unavailable, match="did not appear within 1 s"):
+    with (
+        Client(endpoint, timeout_s=0.5) as client,
+        pytest.raises(Unavailable, match=r"did not appear within 1 s; start one: crkr server$"),
+    ):
         wait_for_task(client, "crane", 1.0, StopRequest(), said.append)
     assert len(said) == 1
     assert str(free_port) in said[0]

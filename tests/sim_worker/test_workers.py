@@ -194,7 +194,7 @@ def test_workers_give_up_on_a_server_that_never_comes(start_command: Start, free
     endpoint = f"tcp/127.0.0.1:{free_port}"
     status, _, log = start_command("workers", "reaching:make", "--connect", endpoint, "--patience", "1.5").finish()
     assert status == 1
-    assert log.splitlines()[-1].startswith(f"error: no answer from {endpoint}")
+    assert log.splitlines()[-1].startswith(f"error: no server at {endpoint}")
 
 
 def test_a_call_to_a_server_that_is_held_has_the_deadline_that_was_asked_for(

@@ -135,6 +135,9 @@ class Transport:
             "attempts": attempts,
             "reason": reason,
         }
+        if self.session.peek() is None:
+            message = f"no server at {self.endpoint} within {tried_s:.1f} s; start one: crkr server"
+            return Unavailable(message, details=details)
         return Unavailable(
             f"no answer from {self.endpoint} to {key} in {tried_s:.1f} s and {attempts} attempts ({reason}); "
             "is the server running? `crkr doctor` tells more",

@@ -80,7 +80,9 @@ def wait_for_task(
                 say(f"waiting up to {patience_s:.0f} s for {missing} ...")
                 said = True
             if time.monotonic() > deadline:
-                raise type(error)(f"{missing} did not appear within {patience_s:.0f} s: {error.message}") from error
+                advice = "start one: crkr server" if isinstance(error, Unavailable) else error.message
+                waited = f"{missing} did not appear within {patience_s:.0f} s"
+                raise type(error)(f"{waited}; {advice}", details=error.details) from error
             time.sleep(PAUSE_S)
     return None
 

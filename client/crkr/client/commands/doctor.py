@@ -17,7 +17,7 @@ import typer
 from crkr.client import Client
 from crkr.client.console import print_json, print_table
 from crkr.client.options import Connect, Json, Timeout, ZenohConfig
-from crkr.protocol import PROTOCOL_VERSION, CrkrError, Invalid
+from crkr.protocol import PROTOCOL_VERSION, CrkrError, Invalid, Unavailable
 
 __all__ = ["doctor"]
 
@@ -70,8 +70,19 @@ def _conversation(client: Client) -> list[_Check]:
         info = client.info()
         trips = [_seconds(client.info) for _ in range(_ROUND_TRIPS)]
     except CrkrError as error:
-        return [("reachable", False, error.message)]
+        return [("reachable", False, _trouble(error))]
     return [("reachable", True, f"server {info.get('version')}, id {info.get('server_id')}"), *_answers(info, trips)]
+
+
+def _trouble(error: CrkrError) -> str:
+    """All that is known of a silence, which the other commands send their readers here for."""
+    tried = error.details
+    if not isinstance(error, Unavailable) or "reason" not in tried:
+        return error.message
+    return (
+        f"no answer from {tried['endpoint']} in {tried['tried_s']:.1f} s "
+        f"({tried['reason']}); is a server running there? start one: crkr server"
+    )
 
 
 def _answers(info: dict[str, Any], trips: list[float]) -> list[_Check]:

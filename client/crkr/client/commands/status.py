@@ -11,6 +11,7 @@ import typer
 from crkr.client import Client
 from crkr.client.console import print_json, print_table, stdout
 from crkr.client.options import Connect, Json, Timeout, ZenohConfig
+from crkr.protocol import CrkrError
 
 __all__ = ["status"]
 
@@ -27,8 +28,13 @@ def status(
 
     Example: crkr status table-tennis        For health probes: crkr status --check --timeout 2
     """
-    with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
-        answer = client.info() if task is None else client.task(task).status()
+    try:
+        with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
+            answer = client.info() if task is None else client.task(task).status()
+    except CrkrError as error:
+        if check:
+            raise typer.Exit(1) from error
+        raise
     if check:
         return
     if as_json:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import typer
 
-from crkr.client.console import configure_logging, print_json, print_table, stderr, stdout
+from crkr.client.console import configure_logging, print_json, print_table, stderr, stdout, tidy
 
 
 @pytest.fixture
@@ -77,6 +77,23 @@ def test_log_records_go_to_standard_error(root_logger: logging.Logger, capsys: p
     assert captured.out == ""
     assert "WARNING crkr.test: heard" in captured.err
     assert "unheard" not in captured.err
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (True, "yes"),
+        (False, "no"),
+        (None, "none"),
+        (0.123456789, "0.1235"),
+        (250, "250"),
+        ("odds", "odds"),
+        (np.array([1 / 3, 2.0]), "0.3333 2"),
+        (UUID(int=3), str(UUID(int=3))),
+    ],
+)
+def test_a_value_for_people_is_no_repr(value: object, text: str) -> None:
+    assert tidy(value) == text
 
 
 def test_an_unknown_log_level_is_wrong_usage() -> None:

@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.logging import RichHandler
 from rich.table import Table
 
-__all__ = ["LEVELS", "configure_logging", "json_data", "print_json", "print_table", "stderr", "stdout"]
+__all__ = ["LEVELS", "configure_logging", "json_data", "print_json", "print_table", "stderr", "stdout", "tidy"]
 
 LEVELS: Final = ("debug", "info", "warning", "error")
 # Text from users and servers is printed as it is: no markup, no highlighting, no wrapping of plain lines.
@@ -38,6 +38,18 @@ def json_data(value: Any) -> Any:
     if isinstance(value, bytes):
         return value.hex()
     return str(value) if isinstance(value, UUID) else value
+
+
+def tidy(value: Any) -> str:
+    """A value as people read it: yes and no, 4 significant digits, no brackets."""
+    value = json_data(value)
+    if value is None:
+        return "none"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, list):
+        return " ".join(tidy(entry) for entry in value)
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 def print_json(value: Any) -> None:

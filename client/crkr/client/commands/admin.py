@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import sys
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Annotated, Any
 
 import typer
 
 from crkr.client import Client
 from crkr.client.commands.vectors import parse_ids
-from crkr.client.console import json_data, print_json, stdout
+from crkr.client.console import print_json, stderr, stdout, tidy
 from crkr.client.options import Connect, Json, Timeout, ZenohConfig
+from crkr.protocol import Invalid
 
 __all__ = ["archive", "configure", "recost", "refit", "remove"]
 
@@ -88,7 +90,15 @@ def configure(
     """
     wanted = _settings(changes)
     with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
-        _show(client.task(task).configure(wanted), as_json)
+        handle = client.task(task)
+        before = {} if as_json else handle.spec.to_dict()
+        answer = handle.configure(wanted)
+    if as_json:
+        print_json(answer)
+        return
+    changed = list(_changed(before, answer["spec"]))
+    for line in changed or ["nothing changed"]:
+        stdout.print(line)
 
 
 def archive(
@@ -104,7 +114,7 @@ def archive(
     Example: crkr archive throw --yes
     """
     if not yes:
-        typer.confirm(f"End learning of {task} for good?", abort=True, err=True)
+        _confirm(task)
     with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
         _show(client.task(task).archive(), as_json)
 
@@ -128,9 +138,31 @@ def _settings(changes: list[str]) -> dict[str, Any]:
     return settings
 
 
+def _confirm(task: str) -> None:
+    try:
+        agreed = typer.confirm(f"End learning of {task} for good?", err=True)
+    except typer.Abort as error:
+        if sys.stdin.isatty():
+            raise
+        stderr.print()  # ends the question's line
+        raise Invalid(f"nobody answered; to archive without a question: crkr archive {task} --yes") from error
+    if not agreed:
+        raise typer.Abort
+
+
+def _changed(before: Mapping[str, Any], after: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
+    """A line for every setting that differs; settings in a map get dotted names."""
+    for name, value in after.items():
+        old = before.get(name)
+        if isinstance(value, Mapping) and isinstance(old, Mapping):
+            yield from _changed(old, value, f"{prefix}{name}.")
+        elif value != old:
+            yield f"{prefix}{name} {tidy(old)} -> {tidy(value)}"
+
+
 def _show(answer: Mapping[str, Any], as_json: bool) -> None:
     if as_json:
         print_json(answer)
         return
     for key, value in answer.items():
-        stdout.print(f"{key}: {json_data(value)}")
+        stdout.print(f"{key.replace('_', ' ')}: {tidy(value)}")

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from crkr.client import Client
-from crkr.client.commands.vectors import parse_ids, parse_vector
+from crkr.client.commands.vectors import check_count, parse_ids, parse_vector
 from crkr.client.console import print_json, print_table, stdout
 from crkr.client.options import Connect, Json, Timeout, ZenohConfig
 from crkr.protocol import SampleExplanation
@@ -31,7 +31,9 @@ def explain(
     numbers = parse_vector(state, "--state")
     sample_id = None if sample is None else parse_ids([sample])[0]
     with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
-        answer = client.task(task).explain(numbers, sample_id)
+        handle = client.task(task)
+        check_count(numbers, "--state", handle.spec.state)
+        answer = handle.explain(numbers, sample_id)
     if as_json:
         print_json(answer)
         return

@@ -8,7 +8,7 @@ from uuid import UUID
 import typer
 
 from crkr.client import Client
-from crkr.client.commands.vectors import parse_ids, parse_vector
+from crkr.client.commands.vectors import check_count, parse_ids, parse_vector
 from crkr.client.console import print_json, print_table, stdout
 from crkr.client.options import Connect, Json, Timeout, ZenohConfig
 from crkr.protocol import Prediction, TaskSpec
@@ -36,8 +36,9 @@ def predict(
     ids: list[UUID] | None = None if trial_id is None else parse_ids([trial_id])
     with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
         handle = client.task(task)
-        answer = handle.predict(numbers, explore, trial_ids=ids)
         spec = handle.spec
+        check_count(numbers, "--state", spec.state)
+        answer = handle.predict(numbers, explore, trial_ids=ids)
     if as_json:
         print_json(_data(answer))
     else:

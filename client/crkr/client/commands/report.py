@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import Annotated
+from uuid import uuid4
 
 import typer
 
 from crkr.client import Client
-from crkr.client.commands.vectors import parse_ids, parse_vector
+from crkr.client.commands.vectors import check_count, parse_ids, parse_vector
 from crkr.client.console import print_json, stdout
 from crkr.client.options import Connect, Json, Timeout, ZenohConfig
 
@@ -34,24 +36,29 @@ def report(
 ) -> None:
     """Store what a goal cost; it is on the server's disk when this returns.
 
-    Example: crkr report throw --state "0.3 1.2" --goal "0.8 0.4" --cost 0.12 --success
+    Example: crkr report throw --state "0.3 1.2" --goal "3.4 0.25" --cost 0.12 --success
     """
+    numbers, aim = parse_vector(state, "--state"), parse_vector(goal, "--goal")
     measured = None if outcome is None else parse_vector(outcome, "--outcome")
-    ids = None if trial_id is None else parse_ids([trial_id])[0]
+    identifier = uuid4() if trial_id is None else parse_ids([trial_id])[0]
     with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
-        receipt = client.task(task).report(
-            state=parse_vector(state, "--state"),
-            goal=parse_vector(goal, "--goal"),
+        handle = client.task(task)
+        check_count(numbers, "--state", handle.spec.state)
+        check_count(aim, "--goal", handle.spec.goal)
+        receipt = handle.report(
+            state=numbers,
+            goal=aim,
             cost=cost,
             success=success,
             kind=kind,
-            id=ids,
+            id=identifier,
             outcome=measured,
             worker=worker,
             wait=wait,
         )
     if as_json:
-        print_json(receipt)
+        print_json({**asdict(receipt), "ids": [identifier]})
     else:
         what = "stored" if receipt.accepted else "known already"
         stdout.print(f"{what}: number {receipt.seqs[0]}; the model is at {receipt.model_version}")
+        stdout.print(f"trial id {identifier}")

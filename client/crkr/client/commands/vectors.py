@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
+from uuid import UUID
 
 import typer
 
-__all__ = ["parse_ids", "parse_vector"]
+from crkr.protocol import GoalDimension, Invalid, StateDimension
 
-from uuid import UUID
+__all__ = ["check_count", "parse_ids", "parse_vector"]
 
 
 def parse_vector(text: str, option: str) -> list[float]:
@@ -18,6 +20,14 @@ def parse_vector(text: str, option: str) -> list[float]:
         return [float(word) for word in words]
     except ValueError as error:
         raise typer.BadParameter(f'{option} takes numbers in quotes, as in {option} "0.1 0.2"; got {text!r}') from error
+
+
+def check_count(numbers: Sequence[float], option: str, axes: Sequence[StateDimension | GoalDimension]) -> None:
+    """Raises `Invalid`, with the coordinates' names, unless there is one number for each."""
+    if len(numbers) != len(axes):
+        names = ", ".join(axis.name for axis in axes)
+        expected = "1 number" if len(axes) == 1 else f"{len(axes)} numbers"
+        raise Invalid(f"{option} takes {expected}, ({names}); got {len(numbers)}")
 
 
 def parse_ids(texts: list[str]) -> list[UUID]:

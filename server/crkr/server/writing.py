@@ -167,7 +167,7 @@ class Writer:
         if missing:
             listed = ", ".join(str(one) for one in missing[:5])
             raise Invalid(
-                f"{len(missing)} ids name no trial of task {task.name!r}: {listed}",
+                f"task {task.name!r} has no trial with {'this id' if len(missing) == 1 else 'these ids'}: {listed}",
                 details={"missing": [str(one) for one in missing]},
             )
         event = self._log.append_event(task.name, change.kind, change.body)

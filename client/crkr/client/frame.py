@@ -21,9 +21,9 @@ _PANELS: Final[Mapping[str, tuple[str, ...]]] = {
     "Data": ("export", "import", "backup", "replay"),
 }
 _GROUP_HELP: Final[Mapping[str, str]] = {
-    "bench": "Measure this machine, side by side with a bare baseline.",
-    "plot": "Draw what was learned.",
-    "experiment": "Repeat the paper's figures and the comparison study.",
+    "bench": "Measure this machine, side by side with a bare baseline.\n\nExample: crkr bench predict",
+    "plot": "Draw what was learned.\n\nExample: crkr plot policy table-tennis --vary ball_y",
+    "experiment": "Repeat the paper's figures and the comparison study.\n\nExample: crkr experiment learning --seeds 3",
 }
 _HELP: Final = """A policy service for robots that learn by trying.
 

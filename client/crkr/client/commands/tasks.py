@@ -25,7 +25,9 @@ def create(
 ) -> None:
     """Make a task from a specification file; the same file again changes nothing.
 
-    Example: crkr create throw.toml
+    Example: crkr create examples/throw.toml
+
+    That file shows the least that one needs: name, unit, low and high of every coordinate of state and goal.
     """
     try:
         checked = TaskSpec.from_dict(tomllib.loads(spec.read_text()), strict=True)

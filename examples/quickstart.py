@@ -11,6 +11,7 @@ import sys
 import numpy as np
 
 from crkr.client import Client, Task
+from crkr.protocol import Unavailable
 
 GRAVITY = 9.81  # [m/s^2]
 SPEC = {
@@ -56,4 +57,7 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except Unavailable as error:
+        sys.exit(f"error: {error}")

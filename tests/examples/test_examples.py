@@ -25,6 +25,27 @@ def test_the_quickstart_learns_to_hit_from_three_demonstrations(server: Any) -> 
     assert after >= 95
 
 
+def test_the_quickstart_says_in_one_line_that_there_is_no_server(free_port: int) -> None:
+    command = [sys.executable, str(EXAMPLES / "quickstart.py"), f"tcp/127.0.0.1:{free_port}"]
+    result = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert result.returncode == 1
+    assert result.stdout == ""
+    assert re.fullmatch(rf"error: no server at tcp/127.0.0.1:{free_port} within .* s; start .*\n", result.stderr)
+
+
+def test_the_specification_file_makes_the_task_that_the_help_asks(server: Any) -> None:
+    def crkr(*words: str) -> str:
+        command = [sys.executable, "-m", "crkr.client", *words, "--connect", server.endpoint]
+        result = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+        assert result.returncode == 0, result.stderr
+        return result.stdout
+
+    assert crkr("create", str(EXAMPLES / "throw.toml")) == "created throw (R^2 -> R^2)\n"
+    trial = ["--state", "0.3 1.2", "--goal", "3.4 0.25", "--cost", "0.12", "--success", "--kind", "demonstration"]
+    assert crkr("report", "throw", *trial, "--wait").startswith("stored")
+    assert "3.4" in crkr("predict", "throw", "--state", "0.3 1.2")
+
+
 def test_a_reader_without_our_package_holds_a_full_conversation(server: Any) -> None:
     imported = {
         name.split(".")[0]

@@ -20,5 +20,6 @@ def test_the_example_draws_its_figure_in_under_thirty_lines(tmp_path: Path) -> N
         check=False,
     )
     assert done.returncode == 0, done.stderr
+    assert done.stdout == f"picture: {picture}\n"
     assert picture.read_bytes().startswith(b"\x89PNG")
     assert len(EXAMPLE.read_text().splitlines()) < 30

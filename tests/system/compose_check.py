@@ -29,7 +29,7 @@ REPOSITORY = Path(__file__).parents[2]
 PROJECT = f"crkr-test-{os.getpid()}"
 TASK = "crkr/@v1/task/table-tennis"
 WORKERS = 2
-TRIALS = 300  # that the workers do together before they leave
+TRIALS = 900  # that the workers do together before they leave; the first of them explore boldly and mostly miss
 EACH = 20  # successful trials that every one of them must have contributed
 BUILT_WITHIN_S, READY_WITHIN_S, LEARNED_WITHIN_S, STEP_WITHIN_S = 1800.0, 90.0, 300.0, 120.0
 

@@ -23,7 +23,7 @@ _PANELS: Final[Mapping[str, tuple[str, ...]]] = {
 _GROUP_HELP: Final[Mapping[str, str]] = {
     "bench": "Measure this machine, side by side with a bare baseline.\n\nExample: crkr bench predict",
     "plot": "Draw what was learned.\n\nExample: crkr plot policy table-tennis --vary ball_y",
-    "experiment": "Repeat the paper's figures and the comparison study.\n\nExample: crkr experiment learning --seeds 3",
+    "experiment": "Repeat learning runs over seeds and judge them.\n\nExample: crkr experiment learning --seeds 3",
 }
 _HELP: Final = """A policy service for robots that learn by trying.
 

@@ -231,3 +231,8 @@ def _refused(skill: TableTennis, goal: np.ndarray, reason: str) -> None:
         None,
         None,
     )
+
+
+def test_what_the_skill_chose_is_told() -> None:
+    options = TableTennis(SkillOptions(launcher="medium")).options
+    assert (options.environment, options.launcher, options.preset) == ("contact", "medium", "tuned")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any, Final, final
 
 import numpy as np
@@ -62,6 +63,7 @@ class TableTennis:
         preset = _choice("preset", options.preset or "tuned", CRITERIA)
         self._criterion = CRITERIA[preset]
         self._spec = task_spec(self._launcher, preset, options.name, options.seed)
+        self._options = replace(options, environment=self._name, launcher=self._launcher.name, preset=preset)
         self._low, self._high = self._spec.bounds
         self._arm = Arm()
         if magnus and self._name != "contact":
@@ -81,6 +83,11 @@ class TableTennis:
     def spec(self) -> TaskSpec:
         """The preset's task specification."""
         return self._spec
+
+    @property
+    def options(self) -> SkillOptions:
+        """The options in force."""
+        return self._options
 
     def reset(self, rng: np.random.Generator) -> Floats:
         """Launches a ball and measures it; launches that are no fair feed are redrawn."""

@@ -5,7 +5,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from typing import Any
+from typing import Any, NoReturn
 
 import pytest
 import zenoh
@@ -27,7 +27,7 @@ def router(free_port: int) -> Iterator[tuple[zenoh.Session, str]]:
         yield session, endpoint
 
 
-def fails(requests: list[Request]) -> None:
+def fails(requests: list[Request]) -> NoReturn:
     raise ZeroDivisionError("a defect")
 
 

@@ -66,7 +66,7 @@ class Regression:
             noise: (m,) noise variances, > 0.
             previous: An earlier regression whose factor is extended if its samples lead these.
         """
-        L, floor = _extended(kernel, Z, noise, previous) or _factor(kernel.matrix(Z, Z), noise)
+        L, floor = _extended(kernel, Z, noise, previous) or _factor(kernel, Z, noise)
         W, _ = lapack.dpotrs(L, Y, lower=1)
         regression = cls(kernel, Z, noise, L, np.ascontiguousarray(W), floor)
         for array in (Z, noise, L, regression.W):
@@ -101,20 +101,24 @@ class Regression:
         return np.asarray(weights)
 
 
-def _factor(K: Array, noise: Array) -> tuple[Array, float]:
-    """Lower factor of K + diag(noise), and the noise floor it took: ten times more after every failed pivot."""
+def _factor(kernel: Kernel, Z: Array, noise: Array) -> tuple[Array, float]:
+    """Lower factor of K + diag(noise), and the noise floor it took: ten times more after every failed pivot.
+
+    K is factored in place and made anew for another attempt, which is rare: a copy kept at hand costs every model more
+    in fresh memory than the kernel itself.
+    """
     floor = asked = float(noise.min())
-    smallest_useful = np.finfo(np.float64).eps * float(K.diagonal().max())
-    diagonal = np.arange(len(K))
+    diagonal = np.arange(len(Z))
     while True:
-        A = K.copy().T  # K is symmetric; its transpose is in the order that LAPACK wants
+        A = kernel.matrix(Z, Z).T  # K is symmetric; its transpose is in the order that LAPACK wants
+        smallest_useful = np.finfo(np.float64).eps * float(A.diagonal().max())
         A[diagonal, diagonal] += np.maximum(noise, floor)
         L, failed_pivot = lapack.dpotrf(A, lower=1, clean=1, overwrite_a=1)
         if not failed_pivot:
             break
         floor = max(10.0 * floor, smallest_useful)
     if floor > asked:
-        _log.warning("%d samples factored only with noise floor %.1e; %.1e was asked for", len(K), floor, asked)
+        _log.warning("%d samples factored only with noise floor %.1e; %.1e was asked for", len(Z), floor, asked)
     return L, floor
 
 

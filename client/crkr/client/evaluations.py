@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Final
 
+import numpy as np
+
 __all__ = ["stated_epoch", "success_by_criterion"]
 
 LARGEST_EPOCH: Final = 2**31 - 1
@@ -29,4 +31,5 @@ def success_by_criterion(success: bool, info: Mapping[str, Any]) -> dict[str, bo
     """
     outcomes = info.get("outcomes")
     named = outcomes.items() if isinstance(outcomes, Mapping) else ()
-    return {name: met for name, met in named if isinstance(name, str) and isinstance(met, bool)} or {"success": success}
+    met = {name: bool(value) for name, value in named if isinstance(name, str) and isinstance(value, bool | np.bool_)}
+    return met or {"success": success}

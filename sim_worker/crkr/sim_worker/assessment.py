@@ -11,9 +11,10 @@ from uuid import UUID
 import numpy as np
 
 from crkr.client import Task
+from crkr.client.evaluations import success_by_criterion
 from crkr.client.wilson import wilson_interval
 from crkr.protocol import MAX_STATES, Invalid, Prediction, Trial, task_id
-from crkr.sim_worker.evaluation import COST_OF_NOTHING, criteria
+from crkr.sim_worker.evaluation import COST_OF_NOTHING
 from crkr.sim_worker.oracle import Planner
 from crkr.sim_worker.pool import spread
 from crkr.sim_worker.randomness import fresh_rng
@@ -61,7 +62,7 @@ class Assessment:
     def add(self, played: Played) -> None:
         """Counts one context."""
         self.balls += 1
-        for name, success in criteria(played.result.success, played.result.info).items():
+        for name, success in success_by_criterion(played.result.success, played.result.info).items():
             self.successes[name] += success
         self.reasons[str(played.result.info.get("reason", "success" if played.result.success else "failure"))] += 1
         for name, success in (played.oracle or {}).items():

@@ -6,6 +6,7 @@ from collections.abc import Collection
 from typing import final
 
 from crkr.client import Task
+from crkr.client.evaluations import stated_epoch
 from crkr.sim_worker.evaluation import EPOCH
 
 __all__ = ["EpochClock", "judged_epochs"]
@@ -13,11 +14,8 @@ __all__ = ["EpochClock", "judged_epochs"]
 
 def judged_epochs(task: Task) -> set[int]:
     """Epochs whose evaluation the log holds."""
-    return {
-        int(stored.trial.info["epoch"])
-        for stored in task.iter_samples()
-        if stored.trial.kind == "evaluation" and "epoch" in stored.trial.info
-    }
+    stated = (stated_epoch(stored.trial.info) for stored in task.iter_samples() if stored.trial.kind == "evaluation")
+    return {epoch for epoch in stated if epoch is not None}
 
 
 @final

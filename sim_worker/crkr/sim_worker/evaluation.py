@@ -2,31 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, final
+from typing import final
 
 import numpy as np
 
 from crkr.client import Task
+from crkr.client.evaluations import success_by_criterion
 from crkr.protocol import Prediction, Trial, evaluation_id
 from crkr.sim_worker.randomness import evaluation_rng
 from crkr.sim_worker.skill import Floats, Outcome, Skill
 
-__all__ = ["COST_OF_NOTHING", "EPOCH", "Examination", "FixedContexts", "criteria"]
+__all__ = ["COST_OF_NOTHING", "EPOCH", "Examination", "FixedContexts"]
 
 EPOCH = 50
 """Training trials of an epoch."""
 
 COST_OF_NOTHING = 1.0
 """Cost of an evaluation whose goal could not be executed: the log wants a number, and nothing is worse."""
-
-
-def criteria(success: bool, info: Mapping[str, Any]) -> dict[str, bool]:
-    """Success by every criterion that the skill has: `info["outcomes"]`, else just "success"."""
-    outcomes = info.get("outcomes")
-    if not isinstance(outcomes, Mapping) or not outcomes:
-        return {"success": success}
-    return {str(name): bool(value) for name, value in outcomes.items()}
 
 
 @final
@@ -82,7 +74,7 @@ class Examination:
 
     def rates(self) -> dict[str, float]:
         """Success rate so far by criterion."""
-        marks = [criteria(trial.success, trial.info) for trial in self.trials]
+        marks = [success_by_criterion(trial.success, trial.info) for trial in self.trials]
         return {name: float(np.mean([mark[name] for mark in marks])) for name in marks[0]} if marks else {}
 
     def play_next(self) -> None:

@@ -6,8 +6,8 @@ from collections import Counter
 from dataclasses import dataclass, field
 from typing import Any, final
 
+from crkr.client.evaluations import stated_epoch, success_by_criterion
 from crkr.protocol import StoredTrial, TaskSpec
-from crkr.sim_worker.evaluation import criteria
 
 __all__ = ["EpochScore", "RunHistory"]
 
@@ -100,10 +100,10 @@ class RunHistory:
 
     def _score(self, stored: StoredTrial) -> None:
         info = stored.trial.info
-        if "epoch" not in info:  # an evaluation that somebody recorded by hand
+        epoch, trained = stated_epoch(info), info.get("trained")
+        if epoch is None:  # an evaluation that somebody recorded by hand
             return
-        epoch = int(info["epoch"])
-        score = self._scores.setdefault(epoch, EpochScore(epoch, int(info.get("trained", 0))))
+        score = self._scores.setdefault(epoch, EpochScore(epoch, trained if type(trained) is int else 0))
         score.balls += 1
-        for name, success in criteria(stored.trial.success, info).items():
+        for name, success in success_by_criterion(stored.trial.success, info).items():
             score.successes[name] += success

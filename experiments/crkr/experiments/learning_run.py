@@ -11,9 +11,9 @@ from uuid import UUID
 
 import numpy as np
 
+from crkr.client.evaluations import success_by_criterion
 from crkr.learner import Learner
 from crkr.protocol import training_id
-from crkr.sim_worker.evaluation import criteria
 from crkr.sim_worker.randomness import demonstration_rng, evaluation_rng, fresh_rng, training_rng
 from crkr.sim_worker.skill import Skill
 
@@ -135,6 +135,6 @@ def _judge(
     for ball, goal in enumerate(goals):
         skill.reset(rng(ball))
         result = skill.execute(goal)
-        successes.update({name: int(won) for name, won in criteria(result.success, result.info).items()})
+        successes.update({name: int(won) for name, won in success_by_criterion(result.success, result.info).items()})
         reasons[str(result.info.get("reason", "success" if result.success else "failure"))] += 1
     return Score(trials, contexts, dict(successes), dict(reasons.most_common()))

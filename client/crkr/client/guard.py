@@ -15,12 +15,16 @@ __all__ = ["guarded", "reason_missing", "require"]
 
 # Import name of an extra's package -> extras that bring it, the first unless the command's own is among them.
 _EXTRAS: Final = {
+    "PIL": ("sim",),
+    "av": ("film",),
     "clarabel": ("sim",),
     "coal": ("sim",),
     "joblib": ("experiments",),
     "matplotlib": ("sim",),
     "mujoco": ("sim",),
     "pinocchio": ("sim",),
+    "prometheus_client": ("server",),
+    "pyarrow": ("export",),
     "rerun": ("dashboard",),
     "rliable": ("experiments",),
     "scipy": ("server", "mirror", "sim", "experiments"),

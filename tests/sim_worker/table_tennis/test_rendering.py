@@ -2,14 +2,15 @@
 
 from pathlib import Path
 
+import av
 import numpy as np
 import pytest
 from matplotlib.image import imread
 
 from crkr.protocol import Invalid
 from crkr.sim_worker.skill import SkillOptions
-from crkr.sim_worker.table_tennis.render_trial import render_trial
-from crkr.sim_worker.table_tennis.rendering import Artist, save_film, save_picture
+from crkr.sim_worker.table_tennis.render_trial import check_output, planned, render_trial
+from crkr.sim_worker.table_tennis.rendering import Artist, save_picture
 from crkr.sim_worker.table_tennis.simulation import Simulation
 from crkr.sim_worker.table_tennis.table_tennis import TableTennis
 from crkr.sim_worker.table_tennis.tracing import Motion
@@ -35,41 +36,72 @@ def test_frames_differ_where_arm_and_ball_moved(simulation: Simulation, motion: 
     assert first.std() > 20  # not one colour
 
 
-def test_a_picture_and_a_film_can_be_saved(simulation: Simulation, motion: Motion, tmp_path: Path) -> None:
-    with Artist(simulation, 160, 90) as artist:
+def test_a_picture_shows_ball_and_paddle_in_their_colours(
+    simulation: Simulation, motion: Motion, tmp_path: Path
+) -> None:
+    with Artist(simulation, 640, 360) as artist:
         save_picture(artist, motion, tmp_path / "trial.png")
-        save_film(artist, motion, tmp_path / "trial.gif", rate=5)
-    assert imread(tmp_path / "trial.png").shape[:2] == (90, 160)
-    assert (tmp_path / "trial.gif").read_bytes().startswith(b"GIF89a")
+        with pytest.raises(Invalid, match=r"\.png"):
+            save_picture(artist, motion, tmp_path / "trial.jpg")
+    red, green, blue = np.moveaxis(imread(tmp_path / "trial.png")[..., :3], 2, 0)
+    assert red.shape == (360, 640)
+    # What moves is blended with what does not; the brown floor has blue within 0.15 of its red.
+    assert ((red > 0.6) & (red - blue > 0.35) & (green - blue > 0.1)).sum() > 10  # the ball's orange
+    assert ((red > 0.3) & (red - blue > 0.2) & (np.abs(green - blue) < 0.05)).sum() > 10  # the blade's red
 
 
-def test_a_sequence_shows_six_moments(tmp_path: Path) -> None:
-    render_trial(SkillOptions(), 3, tmp_path / "swing.png", width=160, height=90, sequence=True)
+def test_a_sequence_shows_six_moments(skill: TableTennis, tmp_path: Path) -> None:
+    render_trial(skill, *planned(skill, 3, 0), tmp_path / "swing.png", width=160, height=90, sequence=True)
     picture = imread(tmp_path / "swing.png")[..., :3]
     assert picture.shape[:2] == (180, 480)
     moments = [
         picture[90 * row : 90 * row + 90, 160 * column : 160 * column + 160] for row in (0, 1) for column in range(3)
     ]
     assert all(np.abs(a - b).max() > 0.1 for i, a in enumerate(moments) for b in moments[:i])
-    with pytest.raises(Invalid, match=r"\.png"):
-        render_trial(SkillOptions(), 3, tmp_path / "swing.gif", width=160, height=90, sequence=True)
 
 
-def test_other_kinds_of_file_are_refused(simulation: Simulation, motion: Motion, tmp_path: Path) -> None:
-    with Artist(simulation, 64, 64) as artist:
-        with pytest.raises(Invalid, match=r"\.png"):
-            save_picture(artist, motion, tmp_path / "trial.jpg")
-        with pytest.raises(Invalid, match=r"\.mp4"):
-            save_film(artist, motion, tmp_path / "trial.avi")
+@pytest.mark.parametrize(
+    ("name", "sequence", "complaint"),
+    [
+        ("trial.jpg", False, r"\.mp4"),
+        ("trial", False, r"\.png"),
+        ("trial.gif", True, r"\.png"),
+        ("no/trial.png", False, "no folder"),
+    ],
+)
+def test_what_cannot_be_saved_is_refused_before_anything_is_drawn(
+    tmp_path: Path, name: str, sequence: bool, complaint: str
+) -> None:
+    with pytest.raises(Invalid, match=complaint):
+        check_output(tmp_path / name, sequence=sequence)
 
 
-def test_a_refused_goal_has_no_film(skill: TableTennis) -> None:
+def test_a_refused_goal_has_no_film(skill: TableTennis, tmp_path: Path) -> None:
     ball = skill.reset(np.random.default_rng(5))
     assert skill.film(ball, np.full(13, np.nan), 0.1) is None
+    with pytest.raises(Invalid, match=r"nothing moved.*invalid"):
+        render_trial(skill, ball, np.full(13, np.nan), tmp_path / "none.png")
+    assert not list(tmp_path.iterdir())
 
 
 def test_the_planners_trial_can_be_drawn_by_seed(tmp_path: Path) -> None:
-    assert render_trial(SkillOptions(launcher="medium"), 3, tmp_path / "trial.png", width=160, height=90) == "returned"
+    skill = TableTennis(SkillOptions(launcher="medium"))
+    state, goal = planned(skill, 3, 0)
+    assert render_trial(skill, state, goal, tmp_path / "trial.png", width=160, height=90).info["reason"] == "returned"
     assert imread(tmp_path / "trial.png").shape[:2] == (90, 160)
-    with pytest.raises(Invalid, match="refused"):
-        render_trial(SkillOptions(), 3, tmp_path / "none.png", goal=np.zeros(13))
+
+
+@pytest.mark.parametrize("slow", [1.0, 3.0])
+def test_a_film_lasts_as_long_as_the_trial_or_that_many_times_longer(
+    skill: TableTennis, tmp_path: Path, slow: float
+) -> None:
+    state, goal = planned(skill, 3, 0)
+    moved = skill.film(state, goal, 0.01)
+    assert moved is not None
+    render_trial(skill, state, goal, tmp_path / "trial.mp4", width=64, height=36, slow=slow)
+    with av.open(str(tmp_path / "trial.mp4")) as container:
+        stream = container.streams.video[0]
+        assert stream.duration is not None
+        assert stream.time_base is not None
+        lasts = float(stream.duration * stream.time_base)
+    assert lasts == pytest.approx(slow * moved.time[-1], abs=0.15)

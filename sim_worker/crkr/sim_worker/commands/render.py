@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from crkr.client.console import stderr
 from crkr.client.options import Connect, Timeout, ZenohConfig
+
+if TYPE_CHECKING:
+    from crkr.client import Task
+    from crkr.sim_worker.skill import Floats, SkillOptions
+    from crkr.sim_worker.table_tennis import TableTennis
 
 __all__ = ["render"]
 
@@ -20,27 +25,70 @@ def render(
     ball: Annotated[int, typer.Option(min=0, help="Which of them.")] = 0,
     environment: Annotated[str | None, typer.Option(help="Which simulator, e.g. contact.")] = None,
     task: Annotated[str | None, typer.Option(help="Draw what this task's policy does, instead of the planner.")] = None,
+    trial: Annotated[str | None, typer.Option(metavar="UUID", help="Draw this stored trial of --task.")] = None,
+    skill: Annotated[str, typer.Option(help="Table tennis, or a variant as package.module:factory.")] = "table-tennis",
+    sequence: Annotated[bool, typer.Option("--sequence", help="Moments of a .png one beside the other.")] = False,
+    slow: Annotated[float, typer.Option(min=1.0, max=100.0, help="How many times slower than life a film runs.")] = 1.0,
     connect: Connect = None,
     timeout: Timeout = 5.0,
     zenoh_config: ZenohConfig = None,
 ) -> None:
     """Draw one trial of table tennis, in software where there is no graphics card.
 
-    Without --task the planner plays, and no server is needed.
+    Without --task the planner plays, and no server is needed. A stored trial
+    is played again: the log has the ball as it was measured and the goal that
+    was tried; all that moves is simulated anew from there, and what comes out
+    is compared with the log.
 
     Example: crkr render --launcher wide --seed 7 --ball 3 trial.png
+    Example: crkr render --trial 2f1c6a1e-6c1f-4b52-9f0e-0d6a3c5b7e11 --slow 4 trial.mp4
     """
     from crkr.client import Client
-    from crkr.sim_worker.randomness import fresh_rng
+    from crkr.client.commands.vectors import parse_ids
+    from crkr.client.guard import require
     from crkr.sim_worker.skill import SkillOptions
-    from crkr.sim_worker.table_tennis import make
-    from crkr.sim_worker.table_tennis.render_trial import render_trial
 
-    options = SkillOptions(environment=environment, launcher=launcher)
-    goal = None
-    if task is not None:
-        state = make(options).reset(fresh_rng(seed, ball))
-        with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
-            goal = client.task(task).predict(state).goal
-    reason = render_trial(options, seed, out, ball=ball, goal=goal)
-    stderr.print(f"{out}: ball {ball} of seed {seed}, {reason}")
+    if trial is not None and (launcher is not None or seed or ball):
+        raise typer.BadParameter("a stored trial has its own ball; leave out --launcher, --seed and --ball")
+    wanted = None if trial is None else parse_ids([trial])[0]
+    if out.suffix == ".mp4":
+        require("av")
+
+    from crkr.sim_worker.table_tennis.render_trial import check_output, planned, render_trial
+    from crkr.sim_worker.table_tennis.stored_trial import compared, stored_trial
+
+    check_output(out, sequence=sequence)
+    player = _player(skill, SkillOptions(environment=environment, launcher=launcher))
+    if task is None and wanted is None:
+        outcome = render_trial(player, *planned(player, seed, ball), out, sequence=sequence, slow=slow)
+        stderr.print(f"{out}: ball {ball} of seed {seed}, {outcome.info['reason']}")
+        return
+    with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
+        asked = client.task(task or "table-tennis")
+        stored = None if wanted is None else stored_trial(asked, wanted)
+        state, goal = _asked(asked, player, seed, ball) if stored is None else (stored.state, stored.goal)
+    outcome = render_trial(player, state, goal, out, sequence=sequence, slow=slow)
+    if stored is None:
+        stderr.print(f"{out}: ball {ball} of seed {seed}, {outcome.info['reason']}")
+        return
+    played = f"played again in {player.options.environment} from the stored ball and goal"
+    stderr.print(f"{out}: trial {stored.id}, {played}: {compared(stored, outcome)}")
+
+
+def _player(name: str, options: SkillOptions) -> TableTennis:
+    from crkr.protocol import Invalid
+    from crkr.sim_worker.skills import load_skill
+    from crkr.sim_worker.table_tennis import TableTennis
+
+    player = load_skill(name, options)
+    if not isinstance(player, TableTennis):
+        raise Invalid(f"crkr render draws table tennis; skill {name!r} is something else")
+    return player
+
+
+def _asked(task: Task, player: TableTennis, seed: int, ball: int) -> tuple[Floats, Floats]:
+    """A state and what the task's policy would do."""
+    from crkr.sim_worker.randomness import fresh_rng
+
+    state = player.reset(fresh_rng(seed, ball))
+    return state, task.predict(state).goal

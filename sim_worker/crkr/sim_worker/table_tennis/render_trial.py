@@ -10,62 +10,83 @@ from numpy.typing import NDArray
 
 from crkr.protocol import Invalid
 from crkr.sim_worker.randomness import fresh_rng
-from crkr.sim_worker.skill import SkillOptions
-from crkr.sim_worker.table_tennis.rendering import Artist, save_film, save_picture, save_sequence
+from crkr.sim_worker.skill import Outcome
+from crkr.sim_worker.table_tennis.film import FILMS, save_film
+from crkr.sim_worker.table_tennis.rendering import Artist, save_picture, save_sequence
 from crkr.sim_worker.table_tennis.simulation import Simulation
 from crkr.sim_worker.table_tennis.table_tennis import TableTennis
 
-__all__ = ["render_trial"]
+__all__ = ["check_output", "planned", "render_trial"]
 
-RATE: Final = 30  # frames a second of a film, at true speed
+Floats = NDArray[np.float64]
+
+RATE: Final = 25  # frames a second: a GIF, which counts in hundredths of a second, can keep it
+
+
+def check_output(path: Path, *, sequence: bool = False) -> None:
+    """Raises `Invalid` now rather than after the drawing if nothing could be saved at `path`."""
+    if sequence and path.suffix != ".png":
+        raise Invalid(f"a sequence of moments is a .png; got {path.name}")
+    if path.suffix not in (".png", *FILMS):
+        raise Invalid(f"a picture is a .png, a film a .mp4 or a .gif; got {path.name}")
+    if not path.absolute().parent.is_dir():
+        raise Invalid(f"there is no folder {path.parent}; make it first")
+
+
+def planned(skill: TableTennis, seed: int, ball: int) -> tuple[Floats, Floats]:
+    """State (6,) and the planner's goal (13,) for one ball of an evaluation.
+
+    Raises:
+        Invalid: The planner cannot return it.
+    """
+    state = skill.reset(fresh_rng(seed, ball))
+    plan = skill.plan(state)
+    if plan is None:
+        raise Invalid(f"the planner cannot return ball {ball} of seed {seed}; choose another")
+    return state, plan[0]
 
 
 def render_trial(
-    options: SkillOptions,
-    seed: int,
+    skill: TableTennis,
+    state: Floats,
+    goal: Floats,
     path: Path,
     *,
-    ball: int = 0,
-    goal: NDArray[np.float64] | None = None,
     width: int = 1280,
     height: int = 720,
     sequence: bool = False,
-) -> str:
-    """Draws the trial of one ball of an evaluation and saves it.
+    slow: float = 1.0,
+) -> Outcome:
+    """Plays a goal against a ball, draws it and saves what was drawn.
 
     Args:
-        options: As for the skill.
-        seed: Of the evaluation.
+        skill: Who plays, in the environment that it was made with.
+        state: (6,) the ball at the snapshot.
+        goal: (13,) to try.
         path: A .png for one picture of several moments, a .mp4 or .gif for a film.
-        ball: Which ball of the evaluation.
-        goal: (13,) to draw; None is the planner's.
         width: [pixels].
         height: [pixels]; of each moment in a sequence.
         sequence: Show the moments of a .png one beside the other rather than in one picture.
+        slow: How many times slower than life a film runs.
 
     Returns:
-        The trial's reason, e.g. "returned".
+        What the trial gave.
 
     Raises:
-        Invalid: An unknown option or suffix, a goal that is refused, or a ball that the planner cannot return.
-        Unsupported: This machine cannot render, or has no ffmpeg for a .mp4.
+        Invalid: Another suffix, no such folder, or a goal that is refused.
+        Unsupported: This machine cannot render.
+        ModuleNotFoundError: PyAV is not installed, for an .mp4.
     """
-    skill = TableTennis(options, traces=False)
-    state = skill.reset(fresh_rng(seed, ball))
-    if goal is None:
-        plan = skill.plan(state)
-        if plan is None:
-            raise Invalid(f"the planner cannot return ball {ball} of seed {seed}; choose another")
-        goal = plan[0]
-    motion = skill.film(state, goal, 1 / RATE)
-    reason = str(skill.attempt(state, goal).info["reason"])
+    check_output(path, sequence=sequence)
+    motion = skill.film(state, goal, 1 / (RATE * slow))
+    outcome = skill.attempt(state, goal)
     if motion is None:
-        raise Invalid(f"nothing to draw: the goal is refused ({reason})")
+        raise Invalid(f"nothing to draw, for nothing moved: the goal is refused ({outcome.info['reason']})")
     with Artist(Simulation(), width, height) as artist:
         if sequence:
             save_sequence(artist, motion, path)
         elif path.suffix == ".png":
             save_picture(artist, motion, path)
         else:
-            save_film(artist, motion, path, RATE)
-    return reason
+            save_film(artist.frames(motion), path, RATE)
+    return outcome

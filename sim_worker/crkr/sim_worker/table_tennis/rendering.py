@@ -1,9 +1,10 @@
-"""Pictures and films of trials by MuJoCo's renderer, in software where there is no graphics card."""
+"""Pictures of trials by MuJoCo's renderer, in software where there is no graphics card."""
 
 from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self, final
@@ -14,12 +15,11 @@ from mujoco.rendering.classic import gl_context
 from numpy.typing import NDArray
 
 from crkr.protocol import Invalid, Unsupported
+from crkr.sim_worker.table_tennis.film import Picture
 from crkr.sim_worker.table_tennis.simulation import Simulation
 from crkr.sim_worker.table_tennis.tracing import Motion
 
-__all__ = ["Artist", "save_film", "save_picture", "save_sequence"]
-
-Picture = NDArray[np.uint8]
+__all__ = ["Artist", "save_picture", "save_sequence"]
 
 EXPOSURES: Final = 6  # moments shown in one picture
 THRESHOLD: Final = 20  # difference from the still scene that counts as moving [of 255]
@@ -59,6 +59,10 @@ class Artist:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._renderer.close()
+
+    def frames(self, motion: Motion) -> Iterator[Picture]:
+        """Every row of a motion, one after the other."""
+        return (self.frame(motion, row) for row in range(len(motion.time)))
 
     def frame(self, motion: Motion, row: int) -> Picture:
         """The scene (h, w, 3) at one row of a motion, with the ball's path up to then."""
@@ -124,30 +128,3 @@ def save_sequence(artist: Artist, motion: Motion, path: Path, columns: int = 3) 
     rows = np.linspace(0, len(motion.time) - 1, 2 * columns).astype(int).tolist()
     frames = [artist.frame(motion, row) for row in rows]
     imsave(path, np.vstack([np.hstack(frames[:columns]), np.hstack(frames[columns:])]))
-
-
-def save_film(artist: Artist, motion: Motion, path: Path, rate: int = 30) -> None:
-    """Saves every row of a motion as a frame, as .mp4 (needs ffmpeg) or .gif.
-
-    Raises:
-        Invalid: Another suffix.
-        Unsupported: There is no ffmpeg.
-    """
-    from matplotlib.animation import writers
-    from matplotlib.figure import Figure
-
-    names = {".mp4": "ffmpeg", ".gif": "pillow"}
-    if path.suffix not in names:
-        raise Invalid(f"a film is a .mp4 or a .gif; got {path.name}")
-    if not writers.is_available(names[path.suffix]):
-        raise Unsupported(f"{path.suffix} needs {names[path.suffix]} on the path; install it or ask for a .gif")
-    height, width = artist.size
-    figure = Figure(figsize=(width / 100, height / 100), dpi=100)
-    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
-    axes.set_axis_off()
-    shown = axes.imshow(np.zeros((height, width, 3), dtype=np.uint8), aspect="auto")
-    writer = writers[names[path.suffix]](fps=rate)
-    with writer.saving(figure, str(path), dpi=100):
-        for row in range(len(motion.time)):
-            shown.set_data(artist.frame(motion, row))
-            writer.grab_frame()

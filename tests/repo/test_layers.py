@@ -29,7 +29,7 @@ LAYERS = {
     "protocol": _layer("", "numpy msgpack"),
     "learner": _layer("protocol", "numpy scipy"),
     "client": _layer("protocol", "numpy zenoh typer rich"),
-    "server": _layer("protocol learner", "numpy zenoh typer rich"),
+    "server": _layer("protocol learner", "numpy zenoh typer rich prometheus_client"),
     "sim_worker": _layer("protocol client", "numpy scipy mujoco pinocchio coal clarabel matplotlib typer rich"),
     "dashboard": _layer("protocol client", "numpy rerun typer rich"),
     "experiments": _layer(

@@ -6,7 +6,8 @@ import sys
 
 import pytest
 
-HEAVY = ["clarabel", "coal", "joblib", "matplotlib", "mujoco", "pinocchio", "rerun", "scipy", "sklearn"]
+HEAVY = ["clarabel", "coal", "joblib", "matplotlib", "mujoco", "pinocchio"]
+HEAVY += ["prometheus_client", "pyarrow", "rerun", "scipy", "sklearn"]
 
 # The extras cannot be imported at all.
 FINDER = """
@@ -61,23 +62,23 @@ def test_the_client_and_the_command_work_without_the_extras() -> None:
 
 
 @pytest.mark.parametrize(
-    ("command", "extra"),
+    ("command", "arguments", "extra"),
     [
-        ("bench learn", "experiments"),
-        ("bench predict", "server"),
-        ("bench report", "server"),
-        ("bench sim", "experiments"),
-        ("experiment learning", "experiments"),
-        ("plot policy throw --vary x", "sim"),
+        ("bench learn", "", "experiments"),
+        ("bench predict", "", "server"),
+        ("bench report", "", "server"),
+        ("bench sim", "", "experiments"),
+        ("experiment learning", "", "experiments"),
+        ("plot policy", "throw --vary x", "sim"),
+        ("server", "--metrics 9464", "server"),
     ],
 )
-def test_a_command_without_its_extra_says_so_in_one_line(command: str, extra: str) -> None:
-    arguments = ["crkr", *command.split()]
-    code = f"HEAVY, BLOCK = {HEAVY!r}, True\n" + FINDER + f"sys.argv = {arguments!r}\n{START}"
+def test_a_command_without_its_extra_says_so_in_one_line(command: str, arguments: str, extra: str) -> None:
+    words = ["crkr", *command.split(), *arguments.split()]
+    code = f"HEAVY, BLOCK = {HEAVY!r}, True\n" + FINDER + f"sys.argv = {words!r}\n{START}"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 1
-    name = " ".join(command.split()[:2])
-    assert done.stderr == f"error: crkr {name} needs the extra '{extra}': pip install 'crkr[{extra}]'\n"
+    assert done.stderr == f"error: crkr {command} needs the extra '{extra}': pip install 'crkr[{extra}]'\n"
 
 
 def test_a_heavy_import_is_seen() -> None:

@@ -9,11 +9,15 @@ import signal
 import socket
 import sys
 import threading
+from contextlib import ExitStack
 from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
+
+if TYPE_CHECKING:
+    from crkr.server.metrics_endpoint import MetricsEndpoint
 
 __all__ = ["server"]
 
@@ -21,6 +25,7 @@ logger = logging.getLogger(__name__)
 
 _SWITCH_S: Final = 0.0001  # a prediction waits about this long for a thread that computes in Python
 _GARBAGE: Final = 10_000  # new objects between collections; almost nothing here is cyclic
+_LAST_PORT: Final = 65535
 _EXIT_PATIENCE_S: Final = 1.9  # then the process leaves as it is: everything acknowledged is committed anyway
 
 
@@ -30,18 +35,27 @@ def server(
     ] = None,
     data: Annotated[Path, typer.Option(help="Data directory, made where there is none.")] = Path("crkr-data"),
     zenoh_config: Annotated[Path | None, typer.Option(help="Zenoh configuration file (JSON5).")] = None,
+    metrics: Annotated[
+        str | None,
+        typer.Option(metavar="[HOST:]PORT", help="Serve Prometheus metrics by HTTP, on loopback unless told."),
+    ] = None,
     log_level: Annotated[str, typer.Option(envvar="CRKR_LOG_LEVEL", help="debug, info, warning or error.")] = "info",
 ) -> None:
-    """Run the policy service: `crkr server --listen tcp/127.0.0.1:7447 --data crkr-data`."""
+    """Run the policy service: `crkr server --listen tcp/127.0.0.1:7447 --data crkr-data --metrics 9464`."""
     from crkr.server.server import DEFAULT_LISTEN, Server, ServerSettings
 
     _log_to_stderr(log_level)
     _be_quick()
     told_to_stop = _stop_signal()
-    with Server(ServerSettings(data, listen, zenoh_config)) as running:
+    with ExitStack() as stack:
+        endpoint = stack.enter_context(_metrics_endpoint(metrics)) if metrics else None
+        running = stack.enter_context(Server(ServerSettings(data, listen, zenoh_config)))
         where = listen or (DEFAULT_LISTEN if zenoh_config is None else f"the endpoints of {zenoh_config}")
-        tasks = len(running.tasks.all())
-        sys.stderr.write(f"crkr server {version('crkr')} listening on {where}, data in {data}, {tasks} tasks\n")
+        told = f"listening on {where}, data in {data}, {len(running.tasks.all())} tasks"
+        if endpoint is not None:
+            endpoint.show(running.vitals)
+            told += f", metrics at http://{endpoint.address}/metrics"
+        sys.stderr.write(f"crkr server {version('crkr')} {told}\n")
         sys.stderr.flush()
         told_to_stop.recv(1)
         watchdog = threading.Timer(_EXIT_PATIENCE_S, os._exit, (0,))
@@ -52,6 +66,17 @@ def server(
     logging.shutdown()
     sys.stderr.flush()
     os._exit(0)
+
+
+def _metrics_endpoint(given: str) -> MetricsEndpoint:
+    from crkr.server.metrics_endpoint import MetricsEndpoint
+
+    host, _, port = given.rpartition(":")
+    if not port.isascii() or not port.isdigit() or int(port) > _LAST_PORT:
+        raise typer.BadParameter(
+            f"an address is HOST:PORT, as in 127.0.0.1:9464; got {given!r}", param_hint="--metrics"
+        )
+    return MetricsEndpoint(host.strip("[]") or "127.0.0.1", int(port))
 
 
 def _stop_signal() -> socket.socket:

@@ -17,7 +17,7 @@ import zenoh
 
 from crkr.protocol import CrkrError, Internal, Unsupported
 from crkr.server.lane import Lane, busy, shutting_down
-from crkr.server.latency import Latencies
+from crkr.server.latency import OTHER_VERB, Latencies
 from crkr.server.request import Request, refuse
 from crkr.server.turns import Turns
 
@@ -124,9 +124,11 @@ class Intake:
             else:
                 self._hand_over(request)
         except CrkrError as error:
+            self._latencies.refused(OTHER_VERB, error.code)
             refuse(query, error)
         except Exception:
             logger.exception("a query on %s could not be taken", query.key_expr)
+            self._latencies.refused(OTHER_VERB, Internal.code)
             refuse(query, Internal("the query could not be taken by a defect of the server; see its log"))
 
     def _wait(self, request: Request) -> None:

@@ -1,37 +1,59 @@
-"""How long answers took lately, by verb."""
+"""How requests were answered, by verb: how long it took, and what went wrong."""
 
 from __future__ import annotations
 
-from collections import deque
+import threading
+from collections import Counter
+from collections.abc import Mapping
 from typing import Any, Final, final
 
 import numpy as np
 
-__all__ = ["Latencies"]
+from crkr.protocol import ADMIN_VERBS, SERVER_VERBS, TASK_VERBS
+from crkr.server.durations import Durations
 
-_WINDOW: Final = 1024
+__all__ = ["OTHER_VERB", "Latencies"]
+
+OTHER_VERB: Final = "other"  # anything that is none of the protocol's verbs: clients must not make up labels
+_VERBS: Final = frozenset({*SERVER_VERBS, *TASK_VERBS, *ADMIN_VERBS})
 
 
 @final
 class Latencies:
-    """The last thousand times of each verb. Recording is one append: any thread may."""
+    """Times of answers and counts of refusals, by verb; any thread may record."""
 
     def __init__(self) -> None:
-        self._times: dict[str, deque[float]] = {}
+        self._times: dict[str, Durations] = {}
+        self._refusals: Counter[tuple[str, str]] = Counter()
+        self._counting = threading.Lock()
 
     def record(self, verb: str, seconds: float) -> None:
         """Takes note of one answer."""
         times = self._times.get(verb)
         if times is None:
-            times = self._times.setdefault(verb, deque(maxlen=_WINDOW))
-        times.append(seconds)
+            times = self._times.setdefault(verb, Durations())
+        times.record(seconds)
+
+    def refused(self, verb: str, code: str) -> None:
+        """Takes note of one error reply."""
+        with self._counting:
+            self._refusals[verb if verb in _VERBS else OTHER_VERB, code] += 1
 
     def summary(self) -> dict[str, Any]:
-        """Verb -> {p50, p99} [us] and how many they are taken from."""
+        """Verb -> {p50, p99} [us] of the last thousand answers, and how many there were since the start."""
         found: dict[str, Any] = {}
         for verb, times in list(self._times.items()):
-            kept = np.array(times.copy()) * 1e6
-            if len(kept):
-                p50, p99 = np.percentile(kept, [50, 99])
-                found[verb] = {"p50": round(float(p50), 1), "p99": round(float(p99), 1), "count": len(kept)}
+            recent = times.recent() * 1e6
+            if len(recent):
+                p50, p99 = np.percentile(recent, [50, 99])
+                found[verb] = {"p50": round(float(p50), 1), "p99": round(float(p99), 1), "count": times.count}
         return found
+
+    def answers(self) -> Mapping[str, Durations]:
+        """Verb -> the times of its answers."""
+        return dict(list(self._times.items()))
+
+    def refusals(self) -> Mapping[tuple[str, str], int]:
+        """(verb, error code) -> how many error replies."""
+        with self._counting:
+            return dict(self._refusals)

@@ -13,6 +13,7 @@ from typing import Any, Final, final
 from crkr.learner import Model
 from crkr.protocol import Internal
 from crkr.server.applying import apply_entries
+from crkr.server.durations import Durations
 from crkr.server.lane import shutting_down
 from crkr.server.log import Event, LoggedTrial
 from crkr.server.tasks import ServedTask
@@ -43,9 +44,13 @@ class Learning:
     Args:
         notice: Told of each new model: task, the one before, the new one.
         due: Told of each task whose settings ask for a fit now.
+
+    Attributes:
+        steps: How long it took to learn what was learned together, the new model included.
     """
 
     def __init__(self, notice: Notice, due: Callable[[ServedTask], None]) -> None:
+        self.steps: Final = Durations()
         self._notice, self._due = notice, due
         self._steps: deque[_Step] = deque()
         self._changed = threading.Condition()
@@ -136,7 +141,7 @@ class Learning:
         task, before = group[0].task, group[0].task.model
         result, failure = None, None
         try:
-            result = _learn(task, group)
+            result = _learn(task, group, self.steps)
         except Exception as error:
             if not task.fault:
                 logger.exception("task %r stops learning after log position %s", task.name, before.version)
@@ -151,7 +156,7 @@ class Learning:
                 self._due(task)
 
 
-def _learn(task: ServedTask, group: list[_Step]) -> Any:
+def _learn(task: ServedTask, group: list[_Step], steps: Durations) -> Any:
     """Applies one step, or the trials of several; a learner that failed once is left alone, lest it skip an entry."""
     entries = group[0].entries
     if not isinstance(entries, Event):
@@ -160,8 +165,9 @@ def _learn(task: ServedTask, group: list[_Step]) -> Any:
             return None
     if task.fault:
         raise Internal(task.fault)
-    result = apply_entries(task.learner, entries)
-    task.publish()
+    with steps.timing():
+        result = apply_entries(task.learner, entries)
+        task.publish()
     return result
 
 

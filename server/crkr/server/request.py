@@ -120,6 +120,7 @@ class Request:
         """Answers with an error."""
         if not self.answered:
             self.answered = True
+            self._latencies.refused(self.verb, error.code)
             refuse(self._query, error)
 
     def fail_unexpectedly(self, error: Exception) -> None:

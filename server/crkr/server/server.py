@@ -15,6 +15,7 @@ import zenoh
 from crkr.learner import Model
 from crkr.protocol import StorageError, live_server_key, rpc_key, task_key
 from crkr.protocol.keys import admin_key
+from crkr.server.durations import Durations
 from crkr.server.fitting import DueFit, Fitting
 from crkr.server.intake import Intake
 from crkr.server.lane import Lane
@@ -28,6 +29,7 @@ from crkr.server.reading import Reader
 from crkr.server.restoring import restore
 from crkr.server.session import DEFAULT_LISTEN, open_session
 from crkr.server.tasks import ServedTask, Tasks
+from crkr.server.vitals import Vitals
 from crkr.server.workers import Workers
 from crkr.server.writing import MOST_REPORTS, Writer
 
@@ -61,6 +63,7 @@ class Server:
 
     Attributes:
         tasks: What it serves.
+        vitals: How it does.
 
     Raises:
         StorageError: The data directory cannot be used.
@@ -84,10 +87,14 @@ class Server:
         self._due: dict[str, DueFit] = {}
         self._lanes: list[Lane[Any]] = []
         self._intakes: list[Intake] = []
-        self._wire()
+        commits = self._wire()
+        self.vitals = Vitals(
+            settings.data, self.tasks, self._latencies, self._workers, self._learning, commits, self._queues
+        )
         self._start()
 
-    def _wire(self) -> None:
+    def _wire(self) -> Durations:
+        """Connects keys, lanes and work; returns where commit times are found."""
         server_id = uuid4()
         predictor = Predictor(self.tasks, self._workers)
         reader = Reader(
@@ -118,6 +125,7 @@ class Server:
         intake(rpc_key("*"), "info tasks create_task")
         intake(admin_key("*", "*"), "refit recost remove configure archive")
         self._token_key = live_server_key(str(server_id))
+        return writer.commits
 
     def _start(self) -> None:
         self._learning.start()

@@ -18,6 +18,7 @@ from crkr.protocol import (
     TaskSpec,
 )
 from crkr.server.administration import Change, read_change
+from crkr.server.durations import Durations
 from crkr.server.lane import busy
 from crkr.server.learning import Learning
 from crkr.server.log import Event, PendingReport, Stored, TaskLog
@@ -37,9 +38,14 @@ _MOST_ASKED: Final = 1024  # steps of learning that are waited for; a commit of 
 
 @final
 class Writer:
-    """The work of the write lane: reports in groups, everything else one by one, in the order they came."""
+    """The work of the write lane: reports in groups, everything else one by one, in the order they came.
+
+    Attributes:
+        commits: How long the log took to store what it was given together.
+    """
 
     def __init__(self, log: TaskLog, tasks: Tasks, workers: Workers, learning: Learning) -> None:
+        self.commits: Final = Durations()
         self._log, self._tasks, self._workers, self._learning = log, tasks, workers, learning
         self._order = threading.Lock()  # from a commit to its place in learning's queue, nothing comes between
 
@@ -75,7 +81,9 @@ class Writer:
 
     def _commit(self, decoded: list[tuple[Request, ServedTask, ReportRequest]]) -> None:
         try:
-            results = self._log.append_reports([PendingReport(task.name, asked.trials) for _, task, asked in decoded])
+            pending = [PendingReport(task.name, asked.trials) for _, task, asked in decoded]
+            with self.commits.timing():
+                results = self._log.append_reports(pending)
         except StorageError as error:
             logger.error("reports were not stored: %s", error.message)
             for request, _, _ in decoded:
@@ -127,7 +135,8 @@ class Writer:
         task = self._tasks.find(spec.name)
         if task is None:
             task = ServedTask(spec)  # refuses what the learner does not offer, before anything is stored
-            self._log.create(spec)
+            with self.commits.timing():
+                self._log.create(spec)
             self._tasks.add(task)
             logger.info("created task %s", spec.name)
             request.reply({"created": True, "spec_hash": spec.fingerprint()})
@@ -170,7 +179,8 @@ class Writer:
                 f"task {task.name!r} has no trial with {'this id' if len(missing) == 1 else 'these ids'}: {listed}",
                 details={"missing": [str(one) for one in missing]},
             )
-        event = self._log.append_event(task.name, change.kind, change.body)
+        with self.commits.timing():
+            event = self._log.append_event(task.name, change.kind, change.body)
         task.note(event)
         logger.info("%s of task %s at log position %d", change.kind, task.name, event.seq)
 

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 from uuid import uuid4
 
@@ -100,11 +101,10 @@ def test_a_batch_may_mix_new_trials_and_duplicates(make_spec: MakeSpec) -> None:
     assert (receipt.accepted, receipt.duplicates, receipt.seqs) == (1, 2, (3, 2, 3))
 
 
-def test_what_is_not_built_is_refused_with_what_to_do(make_spec: MakeSpec) -> None:
-    outcome = [{"name": "miss", "unit": "m", "tolerance": 0.1}]
-    with pytest.raises(Unsupported, match=r'exploration.type.*set exploration to \{"type": "gaussian"\}'):
-        Learner(make_spec(outcome=outcome))
-    Learner(make_spec(outcome=outcome, exploration={"type": "gaussian"}))
+def test_a_selector_that_is_not_offered_here_is_refused_with_what_is(make_spec: MakeSpec) -> None:
+    elsewhere = replace(make_spec(), selector="elsewhere")
+    with pytest.raises(Unsupported, match="these are: anms, full, freeze"):
+        Learner(elsewhere)
 
 
 def test_near_states_with_opposite_goals_and_no_cost_stay_within_the_range(make_spec: MakeSpec) -> None:

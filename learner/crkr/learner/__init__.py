@@ -12,11 +12,13 @@ from crkr.learner.columns import TrialColumns
 from crkr.learner.cost import saturated_cost
 from crkr.learner.draws import draw_ids, uniforms
 from crkr.learner.evidence import FitProblem, FitResult, fit, log_evidence
+from crkr.learner.explorer import Choice, Explorer, GaussianExplorer
 from crkr.learner.first_come import FirstCome
 from crkr.learner.kernel import Kernel
 from crkr.learner.learner import SELECTORS, Learner
 from crkr.learner.model import Model
 from crkr.learner.noise import noise_variances
+from crkr.learner.outcome_explorer import OutcomeExplorer
 from crkr.learner.parameters import Parameters
 from crkr.learner.regression import Regression
 from crkr.learner.review import Review
@@ -27,12 +29,16 @@ from crkr.learner.truncated_normal import truncated_normal
 __all__ = [
     "SELECTORS",
     "Anms",
+    "Choice",
+    "Explorer",
     "FirstCome",
     "FitProblem",
     "FitResult",
+    "GaussianExplorer",
     "Kernel",
     "Learner",
     "Model",
+    "OutcomeExplorer",
     "Parameters",
     "Radii",
     "RadiiCache",

@@ -28,6 +28,7 @@ class TrialColumns:
         costs: (n,) as reported, NaN where there is none.
         kinds: (n,) positions in `KINDS`.
         success: (n,) flags.
+        outcomes: (n, q) as reported, NaN where not observed; None will do for a task that does not learn from them.
 
     Raises:
         Invalid: Columns of different lengths.
@@ -41,9 +42,11 @@ class TrialColumns:
     costs: Array
     kinds: NDArray[np.uint8]
     success: NDArray[np.bool_]
+    outcomes: Array | None = None
 
     def __post_init__(self) -> None:
         lengths: list[float] = [len(one) for one in (self.states, self.goals, self.costs, self.kinds, self.success)]
+        lengths += [] if self.outcomes is None else [len(self.outcomes)]
         lengths += [len(self.ids) / 16, len(self.digests) / 16]
         if any(length != len(self.seqs) for length in lengths):
             raise Invalid(f"columns must have one entry a trial; got {lengths} for {len(self.seqs)} log positions")

@@ -11,8 +11,10 @@ import numpy as np
 
 from crkr.learner.anms_batch import Indices
 from crkr.learner.columns import TrialColumns
+from crkr.learner.explorer import Explorer, GaussianExplorer
 from crkr.learner.kernel import Kernel
 from crkr.learner.model import Model
+from crkr.learner.outcome_learning import OutcomeLearning
 from crkr.learner.parameters import Parameters
 from crkr.learner.selection import RadiiCache, Selection
 from crkr.learner.selector import SelectorFactory
@@ -46,7 +48,8 @@ class Knowledge:
     def __init__(self, spec: TaskSpec, selector: SelectorFactory) -> None:
         self.created = self.spec = spec
         self.version = 1
-        self.store = SampleStore(len(spec.state), len(spec.goal))
+        guided = spec.exploration.type == "outcome"
+        self.store = SampleStore(len(spec.state), len(spec.goal), len(spec.outcome) if guided else 0)
         self.selection = Selection(spec, self.store, selector)
         self.since_fit = 0
         self._kernel = Kernel(spec.centres, spec.lengthscales, spec.kernel.signal_variance, spec.kernel.linear_weight)
@@ -54,6 +57,8 @@ class Knowledge:
         self._names: dict[int, UUID] = {}  # of the active rows
         self._rows = self.selection.active
         self._parameters = Parameters.create(spec, self._kernel, np.zeros(len(spec.goal)))
+        self._guided = OutcomeLearning(spec, self.store) if guided else None
+        self._gaussian = GaussianExplorer.of(spec)
         self.model = self._fitted(None)
 
     def apply_trials(self, seqs: Sequence[int], trials: Sequence[Trial]) -> None:
@@ -75,6 +80,8 @@ class Knowledge:
         self.since_fit += len(eligible)
         if not self._deferred:
             self.selection.extend(eligible)
+            if self._guided is not None:
+                self._guided.extend(rows)
             self._refresh(any(self.store.is_demonstration(row) for row in rows))
 
     def apply_columns(self, columns: TrialColumns) -> None:
@@ -129,6 +136,8 @@ class Knowledge:
             self.store.remove(row)
             if not self._deferred:
                 self.selection.remove(row)
+        if self._guided is not None and not self._deferred:
+            self._guided.remove(rows)
         self.version = seq
         self._refresh(any(self.store.is_demonstration(row) for row in rows))
         return len(rows)
@@ -180,6 +189,8 @@ class Knowledge:
             fits = cache is not None and cache.version == self.version
             self.selection.set_budget(self.spec.budget)
             self.selection.rebuild(self.eligible(), cache if fits else None)
+            if self._guided is not None:
+                self._guided.rebuild()
             self._refresh(True)
 
     def eligible(self) -> Indices:
@@ -211,7 +222,11 @@ class Knowledge:
             self._rows = self.selection.active
             self.model = self._fitted(self.model)
         else:
-            self.model = self.model.at_version(self.version)
+            self.model = self.model.at_version(self.version, self._explorer)
+
+    @property
+    def _explorer(self) -> Explorer:
+        return self._gaussian if self._guided is None else self._guided.explorer
 
     def _prior(self) -> Array:
         rows = self.store.demonstrations()
@@ -225,4 +240,6 @@ class Knowledge:
         self._names.update(zip(new, self.store.ids(np.array(new, dtype=np.int64)), strict=True))
         self._names = {row: self._names[row] for row in rows}
         samples = (self.store.states[self._rows], self.store.goals[self._rows], self.store.costs[self._rows])
-        return Model.create(self.version, self._parameters, list(self._names.values()), *samples, previous)
+        return Model.create(
+            self.version, self._parameters, list(self._names.values()), *samples, previous, self._explorer
+        )

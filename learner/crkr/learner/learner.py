@@ -58,12 +58,6 @@ class Learner:
     """
 
     def __init__(self, spec: TaskSpec, *, selector: SelectorFactory | None = None) -> None:
-        if spec.exploration.type != "gaussian":
-            raise Unsupported(
-                f"exploration.type {spec.exploration.type!r} is not offered by this learner; "
-                'set exploration to {"type": "gaussian"}',
-                details={"field": "exploration.type"},
-            )
         if selector is None and spec.selector not in SELECTORS:
             raise Unsupported(
                 f"selector {spec.selector!r} is not offered; these are: {', '.join(SELECTORS)}",

@@ -10,10 +10,9 @@ from uuid import UUID
 
 import numpy as np
 
-from crkr.learner.draws import uniforms
+from crkr.learner.explorer import Explorer, GaussianExplorer
 from crkr.learner.parameters import Parameters
 from crkr.learner.regression import Regression
-from crkr.learner.truncated_normal import truncated_normal
 from crkr.protocol import Array, Invalid, NoSamples, NovelState, Prediction, check_states, id_from_wire
 from crkr.protocol.checks import finite_array
 from crkr.protocol.codec import array_from_wire
@@ -34,6 +33,7 @@ class Model:
         goals: (m, p) their goals [units of the goal].
         costs: (m,) their costs.
         regression: Posterior of the scaled goals; None while there is no active sample.
+        explorer: Chooses the goals.
     """
 
     version: int
@@ -43,6 +43,7 @@ class Model:
     goals: Array
     costs: Array
     regression: Regression | None
+    explorer: Explorer
 
     @classmethod
     def create(
@@ -54,10 +55,11 @@ class Model:
         goals: Array,
         costs: Array,
         previous: Model | None = None,
+        explorer: Explorer | None = None,
     ) -> Model:
         """Fits the regression to these samples, O(m^3); `previous` may save most of it where samples were only added.
 
-        The arrays become read-only.
+        The arrays become read-only. Without an explorer the model explores as the paper does.
         """
         for array in (states, goals, costs):
             array.setflags(write=False)
@@ -67,11 +69,12 @@ class Model:
             scaled = (goals - parameters.prior) / parameters.scales
             earlier = previous.regression if previous is not None else None
             regression = Regression.fit(kernel, kernel.standardise(states), scaled, parameters.noise(costs), earlier)
-        return cls(version, parameters, tuple(ids), states, goals, costs, regression)
+        explorer = explorer or GaussianExplorer(parameters.seed, parameters.low, parameters.high)
+        return cls(version, parameters, tuple(ids), states, goals, costs, regression, explorer)
 
-    def at_version(self, version: int) -> Model:
-        """The same policy after events that did not change it."""
-        return replace(self, version=version)
+    def at_version(self, version: int, explorer: Explorer) -> Model:
+        """The same regression after events that did not change it."""
+        return replace(self, version=version, explorer=explorer)
 
     @property
     def active(self) -> int:
@@ -83,10 +86,10 @@ class Model:
     ) -> Prediction:
         """Goals for one state or many  [Cardoso2017, alg. 1].
 
-        Means are prior + scale * mean, not clipped. Sigmas are scale * explore_scale * sqrt(variance + floor). Without
-        `explore` the goals are the means, clipped to the bounds. With it they are independent draws from
-        N(mean, sigma^2) truncated to the bounds (the paper's N(0, sigma^2) is a slip), a pure function of the model,
-        the task's seed and the trial ids.
+        Means are prior + scale * mean, not clipped. Sigmas are scale * explore_scale * sqrt(variance + floor). Goals
+        are the explorer's. As in the paper, they are the means, clipped to the bounds, or with `explore` independent
+        draws from N(mean, sigma^2) truncated to the bounds, a pure function of the model, the task's seed and the trial
+        ids. Where measured outcomes guide it, see `OutcomeExplorer`.
 
         Args:
             states: (d,) or (b, d) [units of the state].
@@ -124,15 +127,20 @@ class Model:
         means = np.multiply(mean, own.scales, out=mean)
         means += own.prior
         if explore:
-            u = uniforms(own.seed, ids, len(own.scales)).reshape(means.shape)
-            goals = truncated_normal(means, sigmas, own.low, own.high, u)
+            goals, corrected, outcome, deviation = self.explorer.draw(states, means, sigmas, ids)
         else:
-            goals = np.maximum(means, own.low)
-            np.minimum(goals, own.high, out=goals)
+            goals, corrected, outcome, deviation = self.explorer.best(states, means, sigmas)
         for array in (goals, means, sigmas, novelty):
             array.setflags(write=False)
         policy = "explore" if explore else "mean"
-        return Prediction(states, goals, means, sigmas, novelty, ids, self.version, len(self.ids), policy)
+        if corrected is not None:
+            if corrected.any():
+                policy = "corrected"
+            corrected.setflags(write=False)
+        return Prediction(
+            states, goals, means, sigmas, novelty, ids, self.version, len(self.ids), policy, outcome, deviation,
+            corrected=corrected,
+        )  # fmt: skip
 
     def to_wire(self) -> dict[str, Any]:
         """The model as data, as the `model` query returns it."""

@@ -19,6 +19,7 @@ __all__ = ["SampleStore"]
 
 _TRIAL: Final = KINDS.index("trial")
 _DEMONSTRATION: Final = KINDS.index("demonstration")
+_EVALUATION: Final = KINDS.index("evaluation")
 
 
 @final
@@ -28,18 +29,21 @@ class SampleStore:
     Args:
         dimensions: d.
         outputs: p.
+        outcomes: q, or 0 where outcomes are not learned from and need not be kept.
     """
 
-    def __init__(self, dimensions: int, outputs: int) -> None:
+    def __init__(self, dimensions: int, outputs: int, outcomes: int = 0) -> None:
         self._ids = Growable(np.uint64, (2,))
         self._digests = Growable(np.uint64, (2,))
         self._seqs = Growable(np.int64)
         self._states = Growable(np.float64, (dimensions,))
         self._goals = Growable(np.float64, (outputs,))
+        self._outcomes = Growable(np.float64, (outcomes,))
         self._costs = Growable(np.float64)
         self._kinds = Growable(np.uint8)
         self._success = Growable(np.bool_)
         self._removed = Growable(np.bool_)
+        self._keeps_outcomes = outcomes > 0
         self._index = IdIndex()
 
     def __len__(self) -> int:
@@ -54,6 +58,11 @@ class SampleStore:
     def goals(self) -> Array:
         """(n, p) executed goals, in their units."""
         return self._goals.rows
+
+    @property
+    def outcomes(self) -> Array:
+        """(n, q) measured outcomes, in their units; NaN where not observed."""
+        return self._outcomes.rows
 
     @property
     def costs(self) -> Array:
@@ -78,6 +87,8 @@ class SampleStore:
         self._seqs.append(seq)
         self._states.append(trial.state)
         self._goals.append(trial.goal)
+        if self._keeps_outcomes:
+            self._outcomes.append(np.nan if trial.outcome is None else trial.outcome)
         self._costs.append(np.nan if trial.cost is None else trial.cost)
         self._kinds.append(KINDS.index(trial.kind))
         self._success.append(trial.success)
@@ -86,7 +97,15 @@ class SampleStore:
         return row
 
     def extend(self, columns: TrialColumns) -> int | None:
-        """Stores trials whose ids are new; a row whose id was there already, or None. The store is spoilt then."""
+        """Stores trials whose ids are new; a row whose id was there already, or None. The store is spoilt then.
+
+        Raises:
+            Invalid: No outcomes where they are learned from.
+        """
+        if self._keeps_outcomes:
+            if columns.outcomes is None:
+                raise Invalid("this task learns from outcomes; columns must have them, NaN where not observed")
+            self._outcomes.extend(columns.outcomes)
         for column, values in (
             (self._ids, np.frombuffer(columns.ids, "<u8").reshape(-1, 2)),
             (self._digests, np.frombuffer(columns.digests, "<u8").reshape(-1, 2)),
@@ -145,6 +164,12 @@ class SampleStore:
             tried &= self._success.rows[rows]
         eligible: NDArray[np.bool_] = (tried | (kinds == _DEMONSTRATION)) & ~self._removed.rows[rows]
         return eligible
+
+    def executed(self, rows: Indices) -> NDArray[np.bool_]:
+        """Which of these rows may tell what a goal leads to: all but the judged and the removed ones."""
+        judged = self._kinds.rows[rows] == _EVALUATION
+        executed: NDArray[np.bool_] = ~(judged | self._removed.rows[rows])
+        return executed
 
     def demonstrations(self) -> Indices:
         """Rows of the demonstrations that are not removed."""

@@ -9,6 +9,7 @@ from typing import Any, final
 from uuid import UUID
 
 import numpy as np
+from numpy.typing import NDArray
 
 from crkr.protocol.checks import depth, entries, finite_array, flag, integer, required, text
 from crkr.protocol.codec import MAX_STATES, Array, array_from_wire, frozen_from_wire, id_from_wire
@@ -121,6 +122,8 @@ class Prediction:
         predicted_outcome: (q,) or (b, q) where it is modelled.
         predicted_outcome_sd: The same shape.
         compute_us: Time of the model itself [us], 0 where not measured.
+        corrected: () or (b,) flags: whose goal was moved from its mean because of the outcome expected there. Not sent:
+            over the network `policy` says it of all. None where outcomes are not modelled.
     """
 
     states: Array
@@ -135,6 +138,7 @@ class Prediction:
     predicted_outcome: Array | None = None
     predicted_outcome_sd: Array | None = None
     compute_us: int = 0
+    corrected: NDArray[np.bool_] | None = None
 
     @property
     def goal(self) -> Array:

@@ -12,6 +12,7 @@ from crkr.protocol.errors import Invalid
 __all__ = ["LARGEST", "Exploration", "KernelSettings"]
 
 LARGEST: Final = 1e6  # of a setting in scaled units: beyond, products overflow and answers stop being numbers
+MOST_TRIALS: Final = 20_000  # that are searched for the nearest
 
 
 def _map(value: object, name: str) -> Mapping[str, Any]:
@@ -78,10 +79,10 @@ class Exploration:
             raise Invalid(f"exploration.temperature must be a list of numbers; got {temperatures!r:.80}")
         return cls(
             choice(entry.get("type", "gaussian"), "exploration.type", ("gaussian", "outcome")),
-            number(entry.get("trust", 4.0), "exploration.trust", above=0.0),
-            tuple(number(item, "exploration.temperature", above=0.0) for item in temperatures),
-            integer(entry.get("neighbours", 60), "exploration.neighbours", low=1),
-            integer(entry.get("iterations", 2), "exploration.iterations", low=1),
-            integer(entry.get("min_trials", 20), "exploration.min_trials", low=1),
+            number(entry.get("trust", 4.0), "exploration.trust", above=0.0, high=LARGEST),
+            tuple(number(item, "exploration.temperature", above=0.0, high=LARGEST) for item in temperatures),
+            integer(entry.get("neighbours", 60), "exploration.neighbours", low=1, high=MOST_TRIALS),
+            integer(entry.get("iterations", 2), "exploration.iterations", low=1, high=100),
+            integer(entry.get("min_trials", 20), "exploration.min_trials", low=1, high=MOST_TRIALS),
             number(entry.get("gate", 2.0), "exploration.gate", low=0.0),
         )

@@ -1,0 +1,84 @@
+"""Units of the outcome model: trials as points in which one step matters about as much in every direction."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from crkr.learner.anms_batch import Indices
+from crkr.learner.kernel import Kernel
+from crkr.protocol import Array, TaskSpec
+
+__all__ = ["GOAL_SHARE", "OutcomeScales"]
+
+GOAL_SHARE: Final = 0.5  # a goal's scale counts as half a length-scale of the state
+_FARTHEST: Final = 1e50  # as of standardised states: squares and products stay finite
+_LARGEST: Final = 1e9  # tolerances; a measurement farther off says no more than this one
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class OutcomeScales:
+    """What a task as created says about states, goals and outcomes. Make it with `of`.
+
+    Attributes:
+        metric: Standardises states by the creation length-scales, which fits do not change.
+        middle: (p,) midpoints of the goal bounds [units of the goal].
+        scales: (p,) scales of the goals [units of the goal].
+        low: (p,) lowest goals in scaled form.
+        high: (p,) highest goals in scaled form.
+        target: (q,) [units of the outcome].
+        tolerance: (q,) [units of the outcome].
+        groups: For each group of entries that are observed together, which they are.
+    """
+
+    metric: Kernel
+    middle: Array
+    scales: Array
+    low: Array
+    high: Array
+    target: Array
+    tolerance: Array
+    groups: tuple[Indices, ...]
+
+    @classmethod
+    def of(cls, spec: TaskSpec) -> OutcomeScales:
+        """Those of a task."""
+        low, high = spec.bounds
+        middle = low / 2 + high / 2
+        names = [entry.group for entry in spec.outcome]
+        return cls(
+            metric=Kernel(spec.centres, spec.lengthscales, 1.0),
+            middle=middle,
+            scales=spec.scales,
+            low=_bounded((low - middle) / spec.scales),
+            high=_bounded((high - middle) / spec.scales),
+            target=np.array([entry.target for entry in spec.outcome]),
+            tolerance=np.array([entry.tolerance for entry in spec.outcome]),
+            groups=tuple(np.flatnonzero([name == one for name in names]) for one in dict.fromkeys(names)),
+        )
+
+    def scaled(self, goals: Array) -> Array:
+        """Goals (..., p) in scales from the midpoint, moved into the bounds."""
+        return np.minimum(np.maximum((goals - self.middle) / self.scales, self.low), self.high)
+
+    def points(self, states: Array, goals: Array) -> Array:
+        """Trials (n, d + p) in the metric that says which are near, of states (n, d) and goals (n, p)."""
+        return np.concatenate([self.metric.standardise(states), GOAL_SHARE * self.scaled(goals)], axis=-1)
+
+    def deviations(self, outcomes: Array) -> Array:
+        """Outcomes (n, q) in tolerances from the target; NaN stays."""
+        with np.errstate(over="ignore"):
+            return np.clip((outcomes - self.target) / self.tolerance, -_LARGEST, _LARGEST)
+
+    def observed(self, outcomes: Array) -> NDArray[np.bool_]:
+        """(n, groups) which groups of outcomes (n, q) were observed, all of their entries."""
+        seen = ~np.isnan(outcomes)
+        return np.stack([seen[:, entries].all(axis=1) for entries in self.groups], axis=1)
+
+
+def _bounded(array: Array) -> Array:
+    return np.clip(array, -_FARTHEST, _FARTHEST)

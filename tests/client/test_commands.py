@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 from uuid import UUID, uuid4
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
@@ -157,6 +158,31 @@ def test_a_task_is_managed(run: Run, task: str) -> None:
     assert "removed: 1" in run("remove", task, sample["id"]).stdout
     assert "archived: yes" in run("archive", task, "--yes").stdout
     assert "archived" in run("report", task, *DEMONSTRATION, status=1).stderr
+
+
+def test_new_settings_are_shown_beside_the_numbers_that_a_fit_put_in_force(
+    run: Run, task: str, shared_endpoint: str
+) -> None:
+    with Client(shared_endpoint) as client:
+        states = np.linspace(0.1, 3.9, 40)[:, None]
+        goals = np.hstack([4 + 2 * np.sin(states), 0.5 * np.cos(states)])
+        client.task(task).report(state=states, goal=goals, cost=np.full(40, 0.1), success=True, wait=True)
+    fit = data(run("refit", task, "--json"))
+    assert fit["accepted"] is True
+    shown = run("configure", task, "budget=45").stdout.splitlines()
+    assert shown[0] == "budget 50 -> 45"
+    assert shown[1] == f"in force: lengthscales {fit['lengthscales'][0]:.4g}, fitted (the specification says 1)"
+    assert shown[2].startswith(f"in force: signal_variance {fit['signal_variance']:.4g}, fitted")
+    assert data(run("configure", task, "budget=44", "--json"))["hyperparameters"]["lengthscales"] == fit["lengthscales"]
+
+
+def test_an_archived_task_is_listed_as_such(run: Run, task: str, shared_endpoint: str) -> None:
+    listed = {entry["spec"]["name"]: entry for entry in data(run("tasks", "--json"))}
+    assert listed[task]["archived"] is False
+    run("archive", task, "--yes")
+    with Client(shared_endpoint) as client:
+        assert [entry["archived"] for entry in client.tasks() if entry["spec"].name == task] == [True]
+    assert any(line.split() == [task, "1", "2", "1", "1", "3", "archived"] for line in run("tasks").stdout.splitlines())
 
 
 @pytest.mark.parametrize(

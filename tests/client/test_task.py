@@ -49,7 +49,7 @@ def test_a_task_is_made_once_and_found_again(client: Client, task: Task, spec: d
         client.create_task({**spec, "budget": 9})
     assert caught.value.details["fields"] == {"budget": [250, 9]}
     [summary] = [entry for entry in client.tasks() if entry["spec"].name == task.name]
-    assert summary == {"spec": task.spec, "samples": 0, "active": 0, "model_version": 1}
+    assert summary == {"spec": task.spec, "samples": 0, "active": 0, "model_version": 1, "archived": False}
 
 
 def test_the_specification_is_the_one_in_force(client: Client, task: Task, spec: dict[str, Any]) -> None:

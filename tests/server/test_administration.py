@@ -97,6 +97,18 @@ def test_a_fit_improves_the_evidence_and_is_logged(ask: Ask, trials: list[dict[s
     assert again["evidence_before"] == pytest.approx(fit["evidence_after"])
 
 
+def test_new_settings_are_answered_with_the_fitted_numbers_that_stay_in_force(
+    ask: Ask, trials: list[dict[str, Any]], numbers: Numbers
+) -> None:
+    fit = ask("task/reach/admin/refit")
+    reply = ask("task/reach/admin/configure", {"changes": {"budget": 5}})
+    assert [axis["lengthscale"] for axis in reply["spec"]["state"]] == [0.2, 0.4]
+    assert numbers(reply["hyperparameters"]["lengthscales"]).tolist() == numbers(fit["lengthscales"]).tolist()
+    assert reply["hyperparameters"]["signal_variance"] == fit["signal_variance"] != 1.0
+    reply = ask("task/reach/admin/configure", {"changes": {"kernel": {"signal_variance": 3.0, "linear_weight": 0.5}}})
+    assert (reply["hyperparameters"]["signal_variance"], reply["hyperparameters"]["linear_weight"]) == (3.0, 0.5)
+
+
 def test_fits_come_by_themselves_where_the_settings_ask_for_them(
     ask: Ask, trials: list[dict[str, Any]], make_trial: MakeTrial, numbers: Numbers
 ) -> None:

@@ -12,7 +12,7 @@ from crkr.client.rpc import Rpc, plain, reading
 from crkr.client.task import Task
 from crkr.client.transport import Transport
 from crkr.protocol import TaskSpec, check_name, rpc_key
-from crkr.protocol.checks import integer, required
+from crkr.protocol.checks import flag, integer, required
 
 __all__ = ["Client", "TaskSummary"]
 
@@ -24,6 +24,7 @@ class TaskSummary(TypedDict):
     samples: int
     active: int
     model_version: int
+    archived: bool
 
 
 @final
@@ -69,7 +70,7 @@ class Client:
         return self.info(timeout_s=patience_s)
 
     def tasks(self, *, timeout_s: float | None = None) -> list[TaskSummary]:
-        """Every task: `spec` (in force), `samples`, `active`, `model_version`."""
+        """Every task: `spec` (in force), `samples`, `active`, `model_version`, `archived`."""
         reply = self._rpc.call(rpc_key("tasks"), {}, timeout_s)
         with reading("tasks"):
             return [_summary(entry) for entry in required(reply, "tasks")]
@@ -116,4 +117,5 @@ def _summary(entry: Mapping[str, Any]) -> TaskSummary:
         "samples": integer(required(entry, "samples"), "samples"),
         "active": integer(required(entry, "active"), "active"),
         "model_version": integer(required(entry, "model_version"), "model_version"),
+        "archived": flag(entry.get("archived", False), "archived"),
     }

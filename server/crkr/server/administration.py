@@ -10,7 +10,7 @@ from uuid import UUID
 from crkr.protocol import MAX_TRIALS, Invalid, Unsupported, id_from_wire
 from crkr.protocol.checks import finite_array, number, required, text
 from crkr.protocol.codec import array_from_wire
-from crkr.server.tasks import ServedTask
+from crkr.server.tasks import ServedTask, hyperparameters
 
 __all__ = ["Change", "read_change"]
 
@@ -59,7 +59,11 @@ def _configure(message: Mapping[str, Any], task: ServedTask) -> Change:
     if not isinstance(changes, Mapping) or not changes:
         raise Invalid(f"changes must be a map with at least one field; got {type(changes).__name__}")
     task.spec.with_changes(changes)
-    return Change("configure", {"changes": changes}, lambda changed, _: {"spec": changed.spec.to_dict()})
+
+    def answer(changed: ServedTask, _: Any) -> dict[str, Any]:
+        return {"spec": changed.spec.to_dict(), "hyperparameters": hyperparameters(changed.model)}
+
+    return Change("configure", {"changes": changes}, answer)
 
 
 def _archive(_message: Mapping[str, Any], _task: ServedTask) -> Change:

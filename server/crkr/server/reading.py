@@ -25,7 +25,7 @@ from crkr.server.latency import Latencies
 from crkr.server.learning import Learning
 from crkr.server.log import LogReader
 from crkr.server.request import Request
-from crkr.server.tasks import ServedTask, Tasks
+from crkr.server.tasks import ServedTask, Tasks, hyperparameters
 from crkr.server.workers import Workers
 
 __all__ = ["Reader"]
@@ -94,7 +94,6 @@ class Reader:
         request.message()
         task = self._tasks.get(request.task)
         model = task.model
-        kernel = model.parameters.kernel
         queues = {**self._queues(), "learning": {"waiting": self._learning.backlog}}
         status: dict[str, Any] = {
             "task": task.name,
@@ -103,11 +102,7 @@ class Reader:
             "active": model.active,
             "seq": task.seq,
             "model_version": model.version,
-            "hyperparameters": {
-                "lengthscales": kernel.lengthscales,
-                "signal_variance": kernel.signal_variance,
-                "linear_weight": kernel.linear_weight,
-            },
+            "hyperparameters": hyperparameters(model),
             "archived": task.archived,
             "workers": self._workers.status(task.name),
             "queues": queues,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from typing import Final, final
+from typing import Any, Final, final
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from crkr.learner import Learner, Model, TrialColumns
 from crkr.protocol import KINDS, TaskSpec, UnknownTask
 from crkr.server.log import Event, LoggedTrial
 
-__all__ = ["ServedTask", "Tasks"]
+__all__ = ["ServedTask", "Tasks", "hyperparameters"]
 
 
 @final
@@ -86,6 +86,16 @@ class ServedTask:
     def publish(self) -> None:
         """Makes what the learner knows the policy that answers."""
         self.spec, self.model, self.eligible = self.learner.spec, self.learner.model, self.learner.eligible
+
+
+def hyperparameters(model: Model) -> dict[str, Any]:
+    """The numbers of a model's kernel, fitted or given."""
+    kernel = model.parameters.kernel
+    return {
+        "lengthscales": kernel.lengthscales,
+        "signal_variance": kernel.signal_variance,
+        "linear_weight": kernel.linear_weight,
+    }
 
 
 @final

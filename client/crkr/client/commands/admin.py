@@ -11,7 +11,7 @@ import typer
 
 from crkr.client import Client
 from crkr.client.commands.vectors import parse_ids
-from crkr.client.console import print_json, stderr, stdout, tidy
+from crkr.client.console import json_data, print_json, stderr, stdout, tidy
 from crkr.client.options import Connect, Json, Timeout, ZenohConfig
 from crkr.protocol import Invalid
 
@@ -97,7 +97,7 @@ def configure(
         print_json(answer)
         return
     changed = list(_changed(before, answer["spec"]))
-    for line in changed or ["nothing changed"]:
+    for line in [*(changed or ["nothing changed"]), *_fitted(answer)]:
         stdout.print(line)
 
 
@@ -158,6 +158,19 @@ def _changed(before: Mapping[str, Any], after: Mapping[str, Any], prefix: str = 
             yield from _changed(old, value, f"{prefix}{name}.")
         elif value != old:
             yield f"{prefix}{name} {tidy(old)} -> {tidy(value)}"
+
+
+def _fitted(answer: Mapping[str, Any]) -> Iterator[str]:
+    """A line for every number of the kernel that a fit made another than the specification's."""
+    spec, force = answer["spec"], answer.get("hyperparameters", {})
+    given = {
+        "lengthscales": [axis["lengthscale"] for axis in spec["state"]],
+        "signal_variance": spec["kernel"]["signal_variance"],
+    }
+    for name, value in given.items():
+        fitted = json_data(force.get(name, value))
+        if fitted != value:
+            yield f"in force: {name} {tidy(fitted)}, fitted (the specification says {tidy(value)})"
 
 
 def _show(answer: Mapping[str, Any], as_json: bool) -> None:

@@ -57,7 +57,7 @@ def tasks(
         stdout.print("no tasks yet; make one with `crkr create SPEC.toml`")
     else:
         print_table(
-            ("task", "states", "goals", "samples", "active", "version"),
+            ("task", "states", "goals", "samples", "active", "version", ""),
             [
                 (
                     entry["spec"].name,
@@ -66,6 +66,7 @@ def tasks(
                     entry["samples"],
                     entry["active"],
                     entry["model_version"],
+                    "archived" if entry["archived"] else "",
                 )
                 for entry in found
             ],

@@ -30,7 +30,7 @@ LAYERS = {
     "learner": _layer("protocol", "numpy scipy"),
     "client": _layer("protocol", "numpy zenoh typer rich"),
     "server": _layer("protocol learner", "numpy zenoh typer rich prometheus_client"),
-    "sim_worker": _layer("protocol client", "numpy scipy mujoco pinocchio coal clarabel matplotlib typer rich"),
+    "sim_worker": _layer("protocol client", "numpy scipy mujoco pinocchio coal clarabel matplotlib PIL av typer rich"),
     "dashboard": _layer("protocol client", "numpy rerun typer rich"),
     "experiments": _layer(
         "protocol learner client sim_worker", "numpy scipy matplotlib joblib sklearn rliable typer rich"

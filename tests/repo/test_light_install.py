@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-HEAVY = ["clarabel", "coal", "joblib", "matplotlib", "mujoco", "pinocchio"]
+HEAVY = ["PIL", "av", "clarabel", "coal", "joblib", "matplotlib", "mujoco", "pinocchio"]
 HEAVY += ["prometheus_client", "pyarrow", "rerun", "scipy", "sklearn"]
 
 # The extras cannot be imported at all.

@@ -80,8 +80,8 @@ class LearnerAgainstTheBatchAlgorithm(RuleBasedStateMachine):
         self.learn_from = "all" if self.learn_from == "successes" else "successes"
         self.apply("configure", {"learn_from": self.learn_from})
 
-    def expected(self) -> list[UUID]:
-        eligible = [
+    def eligible(self) -> list[dict[str, Any]]:
+        return [
             entry
             for entry in self.told
             if not entry["removed"]
@@ -90,6 +90,9 @@ class LearnerAgainstTheBatchAlgorithm(RuleBasedStateMachine):
                 or (entry["kind"] == "trial" and (entry["success"] or self.learn_from == "all"))
             )
         ]
+
+    def expected(self) -> list[UUID]:
+        eligible = self.eligible()
         if not eligible:
             return []
         Z = np.array([entry["state"] for entry in eligible]) / LENGTHSCALE
@@ -100,6 +103,7 @@ class LearnerAgainstTheBatchAlgorithm(RuleBasedStateMachine):
     def the_active_set_is_the_batch_algorithms(self) -> None:
         if hasattr(self, "learner"):
             assert self.learner.active_ids == self.expected()
+            assert self.learner.eligible == len(self.eligible())
 
     def teardown(self) -> None:
         if not hasattr(self, "learner"):
@@ -109,7 +113,7 @@ class LearnerAgainstTheBatchAlgorithm(RuleBasedStateMachine):
             for event in self.events:
                 perform(replayed, event)
         assert replayed.active_ids == self.learner.active_ids
-        assert replayed.version == self.learner.version
+        assert (replayed.version, replayed.eligible) == (self.learner.version, len(self.eligible()))
 
 
 def perform(learner: Learner, event: tuple[str, tuple[Any, ...]]) -> None:

@@ -42,6 +42,7 @@ class Knowledge:
         store: All trials.
         selection: Which of them are active.
         model: The policy made of the active ones.
+        eligible_count: How many trials may be learned from; kept, as counting them anew takes longer than a step.
         since_fit: Eligible trials since hyper-parameters were fitted.
     """
 
@@ -51,7 +52,7 @@ class Knowledge:
         guided = spec.exploration.type == "outcome"
         self.store = SampleStore(len(spec.state), len(spec.goal), len(spec.outcome) if guided else 0)
         self.selection = Selection(spec, self.store, selector)
-        self.since_fit = 0
+        self.eligible_count = self.since_fit = 0
         self._kernel = Kernel(spec.centres, spec.lengthscales, spec.kernel.signal_variance, spec.kernel.linear_weight)
         self._deferred = False
         self._names: dict[int, UUID] = {}  # of the active rows
@@ -77,7 +78,7 @@ class Knowledge:
         rows = np.array([self.store.append(seq, trial) for seq, trial in zip(seqs, trials, strict=True)])
         self.version = seqs[-1]
         eligible = rows[self.store.eligible(rows, self.spec.learn_from)]
-        self.since_fit += len(eligible)
+        self._count(len(eligible))
         if not self._deferred:
             self.selection.extend(eligible)
             if self._guided is not None:
@@ -102,7 +103,7 @@ class Knowledge:
         if known is not None:
             raise Conflict(f"trials to apply must be new; log position {int(self.store.seqs[known])} repeats an id")
         rows = np.arange(first, len(self.store))
-        self.since_fit += int(np.count_nonzero(self.store.eligible(rows, self.spec.learn_from)))
+        self._count(int(np.count_nonzero(self.store.eligible(rows, self.spec.learn_from))))
         self.version = int(columns.seqs[-1])
 
     def apply_recost(self, seq: int, ids: Sequence[UUID | bytes], costs: object) -> int:
@@ -132,6 +133,8 @@ class Knowledge:
         """
         rows = [row for row in self._rows_of(ids) if not self.store.removed[row]]
         self._check_seqs([seq], 1)
+        leaving = self.store.eligible(np.array(rows, dtype=np.int64), self.spec.learn_from)
+        self.eligible_count -= int(np.count_nonzero(leaving))
         for row in rows:
             self.store.remove(row)
             if not self._deferred:
@@ -155,11 +158,13 @@ class Knowledge:
             given = "signal_variance" in changes["kernel"]
             variance = spec.kernel.signal_variance if given else self._kernel.signal_variance
             self._set_kernel(self._kernel.lengthscales, variance)
-        if not self._deferred:
-            if spec.budget != before.budget:
-                self.selection.set_budget(spec.budget)
-            if spec.learn_from != before.learn_from:
-                self.selection.rebuild(self.eligible())
+        if not self._deferred and spec.budget != before.budget:
+            self.selection.set_budget(spec.budget)
+        if spec.learn_from != before.learn_from:
+            eligible = self.eligible()
+            self.eligible_count = len(eligible)
+            if not self._deferred:
+                self.selection.rebuild(eligible)
         self._refresh(True)
         return spec
 
@@ -197,6 +202,10 @@ class Knowledge:
         """Rows of the trials that may be learned from, ascending."""
         everything = np.arange(len(self.store))
         return everything[self.store.eligible(everything, self.spec.learn_from)]
+
+    def _count(self, eligible: int) -> None:
+        self.eligible_count += eligible
+        self.since_fit += eligible
 
     def _rows_of(self, ids: Sequence[UUID | bytes]) -> list[int]:
         checked = [id_from_wire(value, "ids") for value in ids]

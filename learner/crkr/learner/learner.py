@@ -94,7 +94,7 @@ class Learner:
     @property
     def eligible(self) -> int:
         """How many trials may be learned from."""
-        return len(self._told.eligible())
+        return self._told.eligible_count
 
     def predict(
         self, states: object, explore: bool = False, trial_ids: Sequence[UUID | bytes] | UUID | bytes | None = None

@@ -1,6 +1,11 @@
 """The parts of `crkr bench` measure what they say, on real processes; how fast those are is not tested here."""
 
+import os
+import signal
+import subprocess
+import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +17,7 @@ from crkr.client.bench.figures import Figure, p50, p99, show
 from crkr.client.bench.processes import echoing, loading, serving
 from crkr.client.bench.restart import restart_figures
 from crkr.client.bench.timing import in_turns
-from crkr.protocol import Internal, ReportRequest, unpack
+from crkr.protocol import Internal, ReportRequest, Unavailable, unpack
 
 
 def test_an_echo_answers_every_question_with_as_many_bytes() -> None:
@@ -42,6 +47,48 @@ def test_a_load_reports_what_the_server_stores_and_only_while_it_is_told_to(tmp_
         status = task.status()
     assert status["samples"]["trial"] >= 60
     assert status["active"] == 40  # what the load reports is not learned from
+
+
+def test_a_server_that_cannot_start_is_noticed_at_once_and_its_reason_told(tmp_path: Path) -> None:
+    (tmp_path / "data").write_text("a file where the folder should be")
+    reason = r"ended with status 1: data directory \S+ cannot be written"
+    with pytest.raises(Unavailable, match=reason) as caught, serving(tmp_path / "data"):
+        pytest.fail("it answered")
+    assert "\n" not in caught.value.message
+
+
+def test_a_server_that_dies_while_it_is_measured_ends_the_measurement(tmp_path: Path, processes: Any) -> None:
+    def measure() -> None:
+        with serving(tmp_path / "data") as client:
+            task = client.create_task(workload.bench_spec())
+            [server] = [pid for pid in processes.children(os.getpid()) if str(tmp_path) in processes.command_line(pid)]
+            with loading(client.endpoint, workload.key("report"), "report", 1, 0) as load:
+                load.go()
+                while task.status()["samples"]["trial"] == 0:
+                    pass  # the pytest timeout is the deadline
+                os.kill(server, signal.SIGKILL)
+                task.report_trials([], wait=True, timeout_s=300.0)
+
+    with pytest.raises(Unavailable, match=r"^the server that is measured ended by signal 9$"):
+        measure()
+
+
+def test_a_failure_beside_a_healthy_server_stays_what_it_is(tmp_path: Path) -> None:
+    with pytest.raises(KeyError), serving(tmp_path / "data"):
+        raise KeyError
+
+
+def test_the_command_fails_in_one_line_when_its_server_dies(tmp_path: Path, processes: Any) -> None:
+    command = [sys.executable, "-m", "crkr.client", "bench", "report"]
+    environment = {**os.environ, "TMPDIR": str(tmp_path)}
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment) as bench:
+        [server] = processes.wait_until(
+            lambda: [pid for pid in processes.children(bench.pid) if "--data" in processes.command_line(pid)]
+        )
+        os.kill(server, signal.SIGKILL)
+        out, err = bench.communicate(timeout=60)
+    assert bench.returncode == 1
+    assert (out, err) == ("", "error: the server that is measured ended by signal 9\n")
 
 
 def test_a_long_log_is_written_and_restarted_on(tmp_path: Path) -> None:

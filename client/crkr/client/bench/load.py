@@ -10,6 +10,7 @@ import sys
 import threading
 
 import typer
+import zenoh
 
 from crkr.client.bench.bare import Bare
 from crkr.client.bench.workload import explain_payload, report_payload
@@ -30,9 +31,12 @@ def main(endpoint: str, key: str, kind: str, width: int, seed: int) -> None:
             for _ in range(width):
                 number += 1
                 payloads.append(report_payload(number) if kind == "report" else explain_payload())
-            replies = [bare.send(payload) for payload in payloads]
-            for reply in replies:
-                counts[reply.recv().ok is None] += 1
+            try:
+                replies = [bare.send(payload) for payload in payloads]
+                for reply in replies:
+                    counts[reply.recv().ok is None] += 1
+            except zenoh.ZError:  # nobody is there to be loaded any more; who measures says so
+                return
 
     with Bare(endpoint, key) as bare:
         thread = threading.Thread(target=work, daemon=True)

@@ -6,6 +6,8 @@ import os
 import socket
 import subprocess
 import sys
+import tempfile
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,10 +17,11 @@ from crkr.client.client import Client
 from crkr.client.guard import require
 from crkr.protocol import Unavailable
 
-__all__ = ["Load", "echoing", "loading", "serving", "start_server", "stop"]
+__all__ = ["Load", "echoing", "loading", "serving"]
 
 _START_S: Final = 600.0  # a long log takes its time
 _STOP_S: Final = 10.0
+_LOOK_S: Final = 0.1  # between looks at whether a server still runs
 _ONE_THREAD: Final = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 
 
@@ -28,16 +31,16 @@ def _free_endpoint() -> str:
         return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
 
 
-def start_server(data: Path) -> tuple[subprocess.Popen[bytes], str]:
+def _start_server(data: Path, words: IO[bytes]) -> tuple[subprocess.Popen[bytes], str]:
     """A server process on a free port, and its endpoint; it may not be ready yet."""
-    require("scipy")  # or it would die unheard, and the wait for it would be long
+    require("scipy")  # or it would die for want of it
     endpoint = _free_endpoint()
     command = [sys.executable, "-m", "crkr.client", "server", "--listen", endpoint, "--data", str(data)]
     quiet = {**os.environ, **_ONE_THREAD, "CRKR_LOG_LEVEL": "warning"}
-    return subprocess.Popen(command, stderr=subprocess.DEVNULL, env=quiet), endpoint
+    return subprocess.Popen(command, stderr=words, env=quiet), endpoint
 
 
-def stop(process: subprocess.Popen[bytes]) -> None:
+def _stop(process: subprocess.Popen[bytes]) -> None:
     """Ends a server in order; one that does not is killed."""
     process.terminate()
     try:
@@ -49,14 +52,51 @@ def stop(process: subprocess.Popen[bytes]) -> None:
 
 @contextmanager
 def serving(data: Path) -> Iterator[Client]:
-    """A server that answers, and a client of it."""
-    process, endpoint = start_server(data)
+    """A server that answers, and a client of it.
+
+    Raises:
+        Unavailable: The server ended by itself; whatever failed in the block failed for that.
+    """
+    with tempfile.TemporaryFile() as words:
+        process, endpoint = _start_server(data, words)
+        try:
+            with Client(endpoint) as client, _ending_with(process, client):
+                client.wait_until_ready(_START_S)
+                yield client
+        except Exception as error:
+            if process.poll() is not None:
+                raise Unavailable(_last_words(process.returncode, words)) from error
+            raise
+        finally:
+            _stop(process)
+
+
+@contextmanager
+def _ending_with(process: subprocess.Popen[bytes], client: Client) -> Iterator[None]:
+    """Inside, the end of the process ends the client's calls, which would wait for an answer until their deadlines."""
+    done = threading.Event()
+
+    def watch() -> None:
+        while not done.wait(_LOOK_S):
+            if process.poll() is not None:
+                client.close()
+                return
+
+    watching = threading.Thread(target=watch, name="server's end", daemon=True)
+    watching.start()
     try:
-        with Client(endpoint) as client:
-            client.wait_until_ready(_START_S)
-            yield client
+        yield
     finally:
-        stop(process)
+        done.set()
+        watching.join()
+
+
+def _last_words(status: int, words: IO[bytes]) -> str:
+    words.seek(0)
+    lines = words.read().decode(errors="replace").strip().splitlines()
+    said = [line.removeprefix("error: ") for line in lines if "listening on" not in line]
+    how = f"by signal {-status}" if status < 0 else f"with status {status}"
+    return f"the server that is measured ended {how}" + (f": {said[-1]}" if said else "")
 
 
 @contextmanager
@@ -81,8 +121,10 @@ class Load:
     def stop(self) -> tuple[int, int]:
         """Ends it; answers and error replies since the process began."""
         self._say("stop")
-        answers, errors = _line(self._process.stdout).split()
-        return int(answers), int(errors)
+        counts = _line(self._process.stdout).split()
+        if len(counts) != 2:
+            raise Unavailable("a client that loads the server ended before it was told to")
+        return int(counts[0]), int(counts[1])
 
     def _say(self, word: str) -> None:
         if self._process.stdin is not None:

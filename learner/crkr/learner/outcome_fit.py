@@ -24,7 +24,7 @@ from crkr.protocol import Array
 
 __all__ = ["RIDGE", "LocalFit", "fit_locally", "nearest"]
 
-RIDGE: Final = 0.03  # for slopes per h; the weights sum to the number of neighbours that count
+RIDGE: Final = 1e-3  # for slopes per h; the weights sum to the number of neighbours that count
 _PIVOT: Final = 1e-10  # of the intercept, so that the matrix always factors
 
 
@@ -70,7 +70,9 @@ def nearest(trials: ObservedTrials, distances: Array, group: int, count: int) ->
     return rows if members is None else np.asarray(members[rows])
 
 
-def fit_locally(trials: ObservedTrials, rows: Indices, entries: Indices, x: Array, goals: int) -> LocalFit:
+def fit_locally(
+    trials: ObservedTrials, rows: Indices, entries: Indices, x: Array, goals: int, ridge: float = RIDGE
+) -> LocalFit:
     """Weighted ridge regression on these rows.
 
     The weights are the biweight (1 - (distance / h)^2)^2 [Atkeson1997]. The farthest neighbour has weight zero, so that
@@ -83,6 +85,7 @@ def fit_locally(trials: ObservedTrials, rows: Indices, entries: Indices, x: Arra
         entries: (m,) entries of the group.
         x: (d + p,) where.
         goals: p.
+        ridge: Penalty of squared slopes per h.
     """
     F = np.empty((len(rows), len(x) + 1))
     F[:, 0] = 1.0
@@ -99,8 +102,8 @@ def fit_locally(trials: ObservedTrials, rows: Indices, entries: Indices, x: Arra
     Y *= root
     A = F.T @ F
     diagonal = A.reshape(-1)[:: len(A) + 1]
-    diagonal += RIDGE
-    diagonal[0] += _PIVOT - RIDGE
+    diagonal += ridge
+    diagonal[0] += _PIVOT - ridge
     L, _ = lapack.dpotrf(A.T, lower=1, clean=1, overwrite_a=1)
     B, _ = lapack.dpotrs(L, F.T @ Y, lower=1)
     residuals = Y - F @ B

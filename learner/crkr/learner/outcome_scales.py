@@ -25,7 +25,8 @@ class OutcomeScales:
     """What a task as created says about states, goals and outcomes. Make it with `of`.
 
     Attributes:
-        metric: Standardises states by the creation length-scales, which fits do not change.
+        metric: Standardises states by the creation length-scales, or by a quarter of the box where that is shorter:
+            a kernel's may be long, but a straight line is fitted to what is near.
         middle: (p,) midpoints of the goal bounds [units of the goal].
         scales: (p,) scales of the goals [units of the goal].
         low: (p,) lowest goals in scaled form.
@@ -48,10 +49,11 @@ class OutcomeScales:
     def of(cls, spec: TaskSpec) -> OutcomeScales:
         """Those of a task."""
         low, high = spec.bounds
+        quarters = [axis.high / 4 - axis.low / 4 for axis in spec.state]
         middle = low / 2 + high / 2
         names = [entry.group for entry in spec.outcome]
         return cls(
-            metric=Kernel(spec.centres, spec.lengthscales, 1.0),
+            metric=Kernel(spec.centres, np.minimum(spec.lengthscales, quarters), 1.0),
             middle=middle,
             scales=spec.scales,
             low=_bounded((low - middle) / spec.scales),

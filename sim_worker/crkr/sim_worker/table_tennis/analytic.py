@@ -22,10 +22,16 @@ INTERVAL: Final = 0.004  # between looks at the paddle [s]
 
 @final
 class AnalyticEnvironment:
-    """Executes swings by formulas alone."""
+    """Executes swings by formulas alone.
 
-    def __init__(self, arm: Arm) -> None:
+    Args:
+        arm: Kinematics.
+        magnus: Whether a spinning ball is lifted.
+    """
+
+    def __init__(self, arm: Arm, *, magnus: bool = False) -> None:
         self._arm = arm
+        self._magnus = magnus
 
     def play(self, ball: Floats, swing: JointTrajectory, hit_time: float) -> Play:
         """Executes `swing` against the ball measured as `ball` (6,) at time 0."""
@@ -33,6 +39,5 @@ class AnalyticEnvironment:
         joints, speeds, _ = swing.sample(times)
         faces = [self._arm.paddle(row) for row in joints]
         centres, normals = np.array([face.position for face in faces]), np.array([face.normal for face in faces])
-        return played(
-            self._arm, Incoming(ball, float(times[-1])), FaceMotion(times, joints, speeds, centres, normals), hit_time
-        )
+        incoming = Incoming(ball, float(times[-1]), magnus=self._magnus)
+        return played(self._arm, incoming, FaceMotion(times, joints, speeds, centres, normals), hit_time)

@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from crkr.sim_worker.table_tennis.constants import DRAG, GRAVITY, SPIN_INERTIA
+from crkr.sim_worker.table_tennis.constants import DRAG, GRAVITY, MAGNUS, SPIN_INERTIA
 
-__all__ = ["Ball", "Curl", "bounce", "flight", "fly", "fly_to_height", "fly_to_x"]
+__all__ = ["Ball", "Curl", "bounce", "curl_of", "flight", "fly", "fly_to_height", "fly_to_x"]
 
 Floats = NDArray[np.float64]
 Curl = tuple[float, float, float] | None
@@ -31,6 +31,12 @@ class Ball(NamedTuple):
     vx: Any
     vy: Any
     vz: Any
+
+
+def curl_of(spin: Floats) -> Curl:
+    """The lift of a ball with `spin` (3,) [rad/s], as `fly` takes it; spin lasts from one impact to the next."""
+    x, y, z = (MAGNUS * spin).tolist()
+    return x, y, z
 
 
 def fly(ball: Ball, duration: Any, curl: Curl = None) -> Ball:

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from crkr.sim_worker.table_tennis import tracking
 from crkr.sim_worker.table_tennis.arm import Arm
-from crkr.sim_worker.table_tennis.ball import Ball, Curl, flight
-from crkr.sim_worker.table_tennis.constants import MAGNUS
+from crkr.sim_worker.table_tennis.ball import Ball, Curl, curl_of, flight
 from crkr.sim_worker.table_tennis.joint_trajectory import JointTrajectory
 from crkr.sim_worker.table_tennis.play import FOLLOW, Play
 from crkr.sim_worker.table_tennis.simulation import (
@@ -92,8 +91,7 @@ class ContactEnvironment:
     def _curl(self, state: Floats) -> Curl:
         if not self._simulation.magnus:
             return None
-        x, y, z = (MAGNUS * rotated(state[None, BALL_ROTATION], state[None, BALL_SPIN])[0]).tolist()
-        return x, y, z
+        return curl_of(rotated(state[None, BALL_ROTATION], state[None, BALL_SPIN])[0])
 
 
 def _ball(state: Floats) -> Ball:

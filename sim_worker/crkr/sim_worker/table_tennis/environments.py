@@ -20,14 +20,14 @@ ENVIRONMENTS: Final = ("contact", "hybrid", "analytic")
 
 
 def make_environment(name: str, arm: Arm, simulation: Simulation) -> Environment:
-    """The environment of that name, one of `ENVIRONMENTS`."""
+    """The environment of that name, one of `ENVIRONMENTS`, with lift where `simulation` has it."""
     if name == "contact":
         return ContactEnvironment(arm, simulation)
     if name == "hybrid":
-        return HybridEnvironment(arm, ArmAlone())
-    return AnalyticEnvironment(arm)
+        return HybridEnvironment(arm, ArmAlone(), magnus=simulation.magnus)
+    return AnalyticEnvironment(arm, magnus=simulation.magnus)
 
 
 def make_predictor(name: str, *, magnus: bool = False) -> Predictor:
     """What a ball does that nobody hits, in the environment of that name."""
-    return BallAlone(magnus=magnus) if name == "contact" else FreeBall()
+    return BallAlone(magnus=magnus) if name == "contact" else FreeBall(magnus=magnus)

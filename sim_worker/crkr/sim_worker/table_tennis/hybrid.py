@@ -22,11 +22,18 @@ Floats = NDArray[np.float64]
 
 @final
 class HybridEnvironment:
-    """Executes swings with a simulated arm and an event-driven ball; the ball does not push the arm back."""
+    """Executes swings with a simulated arm and an event-driven ball; the ball does not push the arm back.
 
-    def __init__(self, arm: Arm, alone: ArmAlone) -> None:
+    Args:
+        arm: Kinematics and dynamics.
+        alone: The simulated arm.
+        magnus: Whether a spinning ball is lifted.
+    """
+
+    def __init__(self, arm: Arm, alone: ArmAlone, *, magnus: bool = False) -> None:
         self._arm = arm
         self._alone = alone
+        self._magnus = magnus
 
     def play(self, ball: Floats, swing: JointTrajectory, hit_time: float) -> Play:
         """Executes `swing` against the ball measured as `ball` (6,) at time 0.
@@ -39,4 +46,4 @@ class HybridEnvironment:
         controls = tracking.controls(self._arm, self._alone.gains, swing, times[:-1])
         record = self._alone.run(swing.position[0], controls)
         face = FaceMotion(times, record.joints, record.speeds, record.centres, record.normals)
-        return played(self._arm, Incoming(ball, float(times[-1])), face, hit_time)
+        return played(self._arm, Incoming(ball, float(times[-1]), magnus=self._magnus), face, hit_time)

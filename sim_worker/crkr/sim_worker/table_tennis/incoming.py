@@ -7,7 +7,7 @@ from typing import Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from crkr.sim_worker.table_tennis.ball import STEP, Ball, bounce, fly, fly_to_height
+from crkr.sim_worker.table_tennis.ball import STEP, Ball, Curl, bounce, curl_of, fly, fly_to_height
 from crkr.sim_worker.table_tennis.constants import (
     BALL_RADIUS,
     TABLE_FRICTION,
@@ -27,23 +27,29 @@ TOUCH_HEIGHT: Final = TABLE_HEIGHT + BALL_RADIUS
 
 @final
 class Incoming:
-    """What a ball does that nobody hits, for `duration` [s] from its snapshot (6,).
+    """What a ball does that nobody hits, for `duration` [s] from its snapshot (6,), where it has no spin.
+
+    Args:
+        snapshot: (6,) position [m] and velocity [m/s].
+        duration: [s].
+        magnus: Whether its spin lifts it.
 
     Attributes:
         bounces: Times of its bounces on the table [s].
     """
 
-    def __init__(self, snapshot: Floats, duration: float) -> None:
+    def __init__(self, snapshot: Floats, duration: float, *, magnus: bool = False) -> None:
+        self._magnus = magnus
         time, ball, spin = 0.0, Ball(*snapshot.tolist()), np.zeros(3)
         times, states, spins = [time], [ball], [spin]
         self.bounces: list[float] = []
         while time < duration:
-            landing = fly_to_height(ball, TOUCH_HEIGHT) if ball.z >= TOUCH_HEIGHT else None
+            landing = fly_to_height(ball, TOUCH_HEIGHT, self.curl(spin)) if ball.z >= TOUCH_HEIGHT else None
             on_table = landing is not None and _over_table(landing[1])
             end = time + landing[0] if landing is not None and on_table else np.inf
             while time < min(end, duration):
                 step = min(STEP, end - time)
-                time, ball = time + step, fly(ball, step)
+                time, ball = time + step, fly(ball, step, self.curl(spin))
                 times.append(time)
                 states.append(ball)
                 spins.append(spin)
@@ -70,18 +76,30 @@ class Incoming:
     def at(self, time: float) -> tuple[Ball, Floats]:
         """The ball and its spin (3,) [rad/s] at one time."""
         before = max(int(np.searchsorted(self._times, time, side="right")) - 1, 0)
-        return fly(self._balls[before], time - float(self._times[before])), self._spins[before]
+        spin = self._spins[before]
+        return fly(self._balls[before], time - float(self._times[before]), self.curl(spin)), spin
+
+    def curl(self, spin: Floats) -> Curl:
+        """The lift of this ball while it has `spin` (3,) [rad/s]; None where spin does not lift it."""
+        return curl_of(spin) if self._magnus else None
 
 
 @final
 class FreeBall:
-    """Predicts incoming balls for the planner, as `BallAlone` does in simulation."""
+    """Predicts incoming balls for the planner, as `BallAlone` does in simulation.
+
+    Args:
+        magnus: Whether a spinning ball is lifted.
+    """
 
     timestep: Final = 0.001  # [s]
 
+    def __init__(self, *, magnus: bool = False) -> None:
+        self._magnus = magnus
+
     def path(self, ball: Floats, duration: float) -> Floats:
         """Position [m], velocity [m/s] and spin [rad/s] (n + 1, 9), table frame, every timestep from `ball` (6,) on."""
-        incoming = Incoming(ball, duration)
+        incoming = Incoming(ball, duration, magnus=self._magnus)
         steps = int(np.ceil(duration / self.timestep))
         rows = (incoming.at(row * self.timestep) for row in range(steps + 1))
         return np.array([[*state, *spin] for state, spin in rows])

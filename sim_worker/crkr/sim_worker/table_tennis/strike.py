@@ -56,15 +56,16 @@ def played(arm: Arm, incoming: Incoming, face: FaceMotion, hit_time: float) -> P
     path = incoming.positions(face.times)
     step = float(face.times[1])
     row = meeting(path, face.centres, face.normals)
-    undisturbed = incoming.at(hit_time)[0]
+    undisturbed, _ = incoming.at(hit_time)
     paddle = arm.paddle(*face.arm_at(hit_time / step))
-    end, after = float(face.times[-1]), incoming.at(float(face.times[-1]))[0]
+    end = float(face.times[-1])
+    after, spin = incoming.at(end)
     ball = undisturbed
     if row is not None:
         contact = row * step
-        after = struck(*incoming.at(contact), arm.paddle(*face.arm_at(row)))
+        after, spin = struck(*incoming.at(contact), arm.paddle(*face.arm_at(row)))
         if contact < hit_time:
-            ball = flight(after, hit_time - contact)
+            ball = flight(after, hit_time - contact, incoming.curl(spin))
         first = int(row) + 1
         path = np.concatenate([path[:first], [after[:3]]])
         face = face._replace(times=np.append(face.times[:first], contact), joints=face.joints[: first + 1])
@@ -80,6 +81,7 @@ def played(arm: Arm, incoming: Incoming, face: FaceMotion, hit_time: float) -> P
         time=face.times,
         joints=face.joints,
         path=path,
+        curl=incoming.curl(spin),
     )
 
 
@@ -105,9 +107,9 @@ def meeting(balls: Floats, centres: Floats, normals: Floats) -> float | None:
     return None
 
 
-def struck(ball: Ball, spin: Floats, paddle: Paddle) -> Ball:
-    """The ball just after a rigid impact on the paddle's face."""
-    velocity, _ = bounce(
+def struck(ball: Ball, spin: Floats, paddle: Paddle) -> tuple[Ball, Floats]:
+    """The ball and its spin (3,) [rad/s] just after a rigid impact on the paddle's face."""
+    velocity, spin = bounce(
         np.array(ball[3:]),
         spin,
         paddle.normal,
@@ -116,4 +118,4 @@ def struck(ball: Ball, spin: Floats, paddle: Paddle) -> Ball:
         friction=PADDLE_FRICTION,
         radius=BALL_RADIUS,
     )
-    return Ball(ball.x, ball.y, ball.z, *velocity.tolist())
+    return Ball(ball.x, ball.y, ball.z, *velocity.tolist()), spin

@@ -49,7 +49,7 @@ class TableTennis:
         traces: False leaves `Outcome.trace` empty, which saves half a millisecond a trial.
         profiled: Swings follow the acceleration profile of a recorded demonstration with a wind-up rather than the
             smallest accelerations that reach the goal.
-        magnus: Spin lifts the ball; in contact only.
+        magnus: Spin lifts the ball.
 
     Raises:
         Invalid: An option of another name.
@@ -66,8 +66,6 @@ class TableTennis:
         self._options = replace(options, environment=self._name, launcher=self._launcher.name, preset=preset)
         self._low, self._high = self._spec.bounds
         self._arm = Arm()
-        if magnus and self._name != "contact":
-            raise Invalid(f"lift needs the environment contact; got {self._name}")
         self._magnus = magnus
         self._simulation = Simulation(magnus=magnus)
         self._environment = make_environment(self._name, self._arm, self._simulation)

@@ -71,8 +71,9 @@ def test_a_sound_directory_agrees_also_while_a_server_holds_it(data: Path) -> No
 @pytest.mark.parametrize(
     ("statement", "says"),
     [
-        ("UPDATE trial SET present_cost = 0.5 WHERE seq = 20", "another cost"),
-        ("UPDATE trial SET removed = 0", "another cost or mark"),
+        ("UPDATE trial SET present_cost = 0.5 WHERE seq = 20", "20 does not match its digest"),
+        ("UPDATE trial SET digest = substr(digest, 1, 16), present_cost = 0.5 WHERE seq = 20", "another cost"),
+        ("UPDATE trial SET digest = substr(digest, 1, 16), removed = 0", "another cost or mark"),
         ("DELETE FROM trial WHERE seq = 30", "lacks position 30"),
     ],
 )

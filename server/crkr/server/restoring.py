@@ -5,20 +5,42 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 from typing import Final
 
-from crkr.protocol import StorageError, TaskSpec
+from crkr.protocol import StorageError, TaskSpec, UnknownTask
 from crkr.server.applying import apply_entries, batches
 from crkr.server.log import Event, LoggedTrial, LogReader
 from crkr.server.radii_cache import load_radii
 from crkr.server.tasks import ServedTask
 
-__all__ = ["restore"]
+__all__ = ["restore", "restore_all"]
 
 logger = logging.getLogger(__name__)
 
 _BATCH: Final = 4096
 _FEW: Final = 5000  # entries that are cheaper to learn as they come than all radii are to find anew
+
+
+def restore_all(log: LogReader, path: Path) -> list[ServedTask]:
+    """Replays every task while the store looks itself over, on a thread that needs no interpreter for it.
+
+    Raises:
+        StorageError: The log, which is at `path`, is damaged.
+    """
+    try:
+        with ThreadPoolExecutor(1) as beside:
+            damage = beside.submit(log.integrity)
+            tasks = [restore(log, name) for name in log.tasks()]
+        found = damage.result()
+    except UnknownTask as error:
+        raise StorageError(f"task log {path} lists a task that it does not find; restore a backup") from error
+    except StorageError as error:
+        raise StorageError(f"task log {path}: {error.message}") from error
+    if found:
+        raise StorageError(f"task log {path} is damaged: {'; '.join(found[:3])}; restore a backup")
+    return tasks
 
 
 def restore(log: LogReader, name: str) -> ServedTask:
@@ -32,6 +54,8 @@ def restore(log: LogReader, name: str) -> ServedTask:
     if not isinstance(first, Event) or first.kind != "create":
         raise StorageError(f"the log of task {name!r} does not begin with its creation; restore a backup")
     task = ServedTask(TaskSpec.from_dict(first.body["spec"]))
+    if task.name != name:
+        raise StorageError(f"the log of task {name!r} was begun as that of {task.name!r}; restore a backup")
     last, radii = log.last(name), load_radii(log, name)
     if last <= _FEW:
         _replay(task, log.read(name, 1))

@@ -26,7 +26,7 @@ from crkr.server.notices import Notices
 from crkr.server.predicting import Predictor
 from crkr.server.radii_cache import RadiiKeeper
 from crkr.server.reading import Reader
-from crkr.server.restoring import restore
+from crkr.server.restoring import restore_all
 from crkr.server.session import DEFAULT_LISTEN, open_session
 from crkr.server.tasks import ServedTask, Tasks
 from crkr.server.vitals import Vitals
@@ -75,8 +75,8 @@ class Server:
         self.tasks = Tasks()
         self._log = SqliteLog(settings.data)
         try:
-            for name in self._log.reads.tasks():
-                self.tasks.add(restore(self._log.reads, name))
+            for task in restore_all(self._log.reads, self._log.path):
+                self.tasks.add(task)
             self._session = open_session(settings.listen, settings.zenoh_config)
         except BaseException:
             self._log.close()

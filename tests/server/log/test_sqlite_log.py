@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from crkr.protocol import KINDS, Conflict, StorageError, TaskSpec, Trial
 from crkr.server.log import Event, LoggedTrial, PendingReport, SqliteLog, SqliteReader, Stored
-from crkr.server.restoring import restore
+from crkr.server.restoring import restore, restore_all
 
 AXIS = {"name": "x", "unit": "m", "low": -1.0, "high": 1.0}
 SPEC = TaskSpec.from_dict({"name": "reach", "state": [AXIS], "goal": [AXIS, {**AXIS, "name": "y"}]})
@@ -200,6 +200,14 @@ def zeroed(path: Path, length: int) -> None:
         (lambda path: zeroed(path, 4096), "malformed"),
         (lambda path: zeroed(path, 1), "151 does not match its digest"),
         (changed("UPDATE trial SET cost = cost / 2 WHERE seq = 77"), "77 does not match its digest"),
+        (changed("UPDATE trial SET worker = 'bob' WHERE seq = 78"), "78 does not match its digest"),
+        (changed("UPDATE trial SET time = time + 1 WHERE seq = 78"), "78 does not match its digest"),
+        (changed("UPDATE trial SET info = x'80' WHERE seq = 78"), "78 does not match its digest"),
+        (changed("UPDATE trial SET removed = 1 WHERE seq = 78"), "78 does not match its digest"),
+        (changed("UPDATE trial SET id = x'00112233445566778899aabbccddeeff' WHERE seq = 78"), "78 does not match"),
+        (changed("UPDATE task SET name = 'other'"), "restore a backup"),
+        (changed("DELETE FROM task"), "does not list"),
+        (changed("DELETE FROM trial WHERE seq = 301"), "holds 300 entries, but 301 were acknowledged"),
         (changed("DELETE FROM trial WHERE seq = 100"), "lacks position 100"),
         (changed("DELETE FROM event"), "lacks position 1"),
         (changed("UPDATE event SET body = x'80'"), "does not match its digest"),
@@ -216,13 +224,35 @@ def test_a_damaged_or_foreign_log_is_refused_and_left_as_it_is(
     def start() -> None:
         log = SqliteLog(database.parent)
         try:
-            restore(log.reads, "reach")
+            restore_all(log.reads, log.path)
         finally:
             log.close()
 
     with pytest.raises(StorageError, match=says):
         start()
     assert database.read_bytes() == before
+
+
+def test_a_log_of_the_first_schema_is_read_and_goes_on_in_the_present_one(database: Path) -> None:
+    before = SqliteReader(database)
+    trials = [entry.trial.digest() for entry in before.read("reach") if isinstance(entry, LoggedTrial)]
+    before.close()
+    changed("UPDATE trial SET digest = substr(digest, 1, 16)")(database)
+    changed("PRAGMA user_version = 1")(database)
+    (database.parent / "acknowledged").unlink()
+    log = SqliteLog(database.parent)
+    restore_all(log.reads, log.path)
+    assert [one.trial.digest() for one in trials_of(log)] == trials
+    log.append_event("reach", "recost", {"ids": [UUID(int=5)], "costs": [0.25], "reason": ""})
+    [stored] = log.append_reports([PendingReport("reach", (trial(1), trial(301)))])
+    assert isinstance(stored, Stored)
+    assert stored.seqs == (2, 303)
+    log.close()
+    with sqlite3.connect(database) as connection:
+        sizes = connection.execute("SELECT length(digest), count(*) FROM trial GROUP BY 1 ORDER BY 1").fetchall()
+        version = connection.execute("PRAGMA user_version").fetchone()
+    connection.close()
+    assert (sizes, version) == ([(16, 299), (24, 2)], (2,))  # what is new or changed is sealed
 
 
 def test_the_cache_may_be_dropped_or_damaged(database: Path) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 
 from crkr.learner import TrialColumns
 from crkr.protocol import KINDS, CrkrError, StorageError
+from crkr.server.log.rows import DIGEST_BYTES
 
 __all__ = ["BLOCK_COLUMNS", "columns_of"]
 
@@ -27,6 +28,7 @@ def columns_of(rows: Sequence[tuple[Any, ...]], dimensions: int, outputs: int) -
         numbers = np.array(costs, dtype="<f8")  # None becomes NaN
         if max(kinds) >= len(KINDS):
             raise ValueError(f"kind {max(kinds)} is none")
+        digests = tuple([digest[:DIGEST_BYTES] for digest in digests])
         stored = numbers.tobytes()
         for row, digest in enumerate(digests):
             head = bytes((kinds[row], success[row], outcomes[row] is not None, costs[row] is not None))

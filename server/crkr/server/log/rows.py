@@ -1,25 +1,43 @@
-"""Trials as database rows, and back."""
+"""Trials as database rows, and back; whoever reads one knows that it is what was stored.
+
+A trial's `digest` column holds two things: 16 bytes over its content, by which a report of the same trial is known, and
+8 more, its seal, over those and over all else that stands in the row. Rows of the first schema have no seal.
+"""
 
 from __future__ import annotations
 
+import struct
 from hashlib import blake2b
 from typing import Any, Final
 from uuid import UUID
 
 import numpy as np
 
-from crkr.protocol import KINDS, StorageError, Trial, pack, unpack
+from crkr.protocol import KINDS, CrkrError, StorageError, Trial, pack, unpack
 from crkr.server.log.entries import LoggedTrial
 
-__all__ = ["PAGE_COLUMNS", "TRIAL_COLUMNS", "body_digest", "trial_of", "trial_row", "wire_of"]
+__all__ = [
+    "DIGEST_BYTES",
+    "ROW_COLUMNS",
+    "TRIAL_COLUMNS",
+    "body_digest",
+    "changed_digest",
+    "content_digest",
+    "trial_of",
+    "trial_row",
+    "wire_of",
+]
 
+DIGEST_BYTES: Final = 16  # of the content
 TRIAL_COLUMNS: Final = "seq, time, id, kind, success, cost, state, goal, outcome, worker, model_version, info, digest"
-PAGE_COLUMNS: Final = TRIAL_COLUMNS.replace("digest", "present_cost, removed")
+ROW_COLUMNS: Final = f"{TRIAL_COLUMNS}, present_cost, removed"
+_SEAL_BYTES: Final = 8
 
 
 def trial_row(task: int, seq: int, time: float, trial: Trial, digest: bytes) -> tuple[Any, ...]:
     """The row of a new trial: the task, then `TRIAL_COLUMNS`. Numbers are little-endian float64."""
     outcome = None if trial.outcome is None else trial.outcome.astype("<f8").tobytes()
+    info = pack(trial.info) if trial.info else None
     return (
         task,
         seq,
@@ -33,18 +51,19 @@ def trial_row(task: int, seq: int, time: float, trial: Trial, digest: bytes) -> 
         outcome,
         trial.worker,
         trial.model_version,
-        pack(trial.info) if trial.info else None,
-        digest,
+        info,
+        digest + _seal(digest, (seq, time, trial.id.bytes, trial.worker, trial.model_version, info, None, 0)),
     )
 
 
 def trial_of(row: tuple[Any, ...]) -> LoggedTrial:
-    """Reads `TRIAL_COLUMNS`.
+    """Reads `ROW_COLUMNS`.
 
     Raises:
-        StorageError: The content is not what was stored: it does not match its digest.
+        StorageError: The row is not what was stored.
     """
-    seq, time, identity, kind, success, cost, state, goal, outcome, worker, model_version, info, digest = row
+    _check(row)
+    seq, time, identity, kind, success, cost, state, goal, outcome, worker, model_version, info, *_ = row
     try:
         trial = Trial(
             id=UUID(bytes=identity),
@@ -58,21 +77,19 @@ def trial_of(row: tuple[Any, ...]) -> LoggedTrial:
             model_version=model_version,
             info=unpack(info) if info else {},
         )
-        intact = trial.digest() == digest
-    except (ValueError, TypeError, IndexError) as error:
+    except (ValueError, TypeError, IndexError, CrkrError) as error:
         raise StorageError(f"the trial at log position {seq} is damaged: {error}; restore a backup") from error
-    if not intact:
-        raise StorageError(f"the trial at log position {seq} does not match its digest; restore a backup")
     return LoggedTrial(seq, time, trial)
 
 
-def _vector(data: bytes) -> dict[str, Any]:
-    return {"shape": [len(data) // 8], "dtype": "<f8", "data": data}
-
-
 def wire_of(row: tuple[Any, ...]) -> dict[str, Any]:
-    """Reads `PAGE_COLUMNS` straight into an entry of a `samples` page; no arrays are made on the way."""
-    seq, time, identity, kind, success, cost, state, goal, outcome, worker, model_version, info, present, removed = row
+    """Reads `ROW_COLUMNS` straight into an entry of a `samples` page; no arrays are made on the way.
+
+    Raises:
+        StorageError: The row is not what was stored.
+    """
+    _check(row)
+    seq, time, identity, kind, success, cost, state, goal, outcome, worker, model_version, info, _, present, gone = row
     entry: dict[str, Any] = {
         "id": identity,
         "state": _vector(state),
@@ -91,11 +108,70 @@ def wire_of(row: tuple[Any, ...]) -> dict[str, Any]:
         entry["model_version"] = model_version
     if info:
         entry["info"] = unpack(info)
-    if removed:
+    if gone:
         entry["removed"] = True
     return entry
+
+
+def changed_digest(row: tuple[Any, ...], cost: float | None, removed: bool) -> bytes:
+    """The digest column of a row, read as `ROW_COLUMNS`, whose present cost and mark become these.
+
+    Raises:
+        StorageError: The row is not what was stored.
+    """
+    _check(row)
+    digest = row[12][:DIGEST_BYTES]
+    return bytes(digest + _seal(digest, (*row[:3], *row[9:12], cost, int(removed))))
+
+
+def content_digest(
+    kind: int, success: int, cost: float | None, state: bytes, goal: bytes, outcome: bytes | None
+) -> bytes:
+    """`Trial.digest` of a row's columns."""
+    head = bytes((kind, success, outcome is not None, cost is not None))
+    number = struct.pack("<d", float("nan") if cost is None else cost)
+    return blake2b(head + state + goal + number + (outcome or b""), digest_size=DIGEST_BYTES).digest()
 
 
 def body_digest(kind: str, body: bytes) -> bytes:
     """16 bytes that tell whether an event is still what was stored."""
     return blake2b(kind.encode() + b"\0" + body, digest_size=16).digest()
+
+
+def _check(row: tuple[Any, ...]) -> None:
+    """Raises `StorageError` for a row of `ROW_COLUMNS` that is not what was stored."""
+    (
+        seq,
+        time,
+        identity,
+        kind,
+        success,
+        cost,
+        state,
+        goal,
+        outcome,
+        worker,
+        model_version,
+        info,
+        digest,
+        cost_now,
+        gone,
+    ) = row
+    try:
+        intact = digest[:DIGEST_BYTES] == content_digest(kind, success, cost, state, goal, outcome)
+        if len(digest) != DIGEST_BYTES:
+            rest = (seq, time, identity, worker, model_version, info, cost_now, gone)
+            intact = intact and digest[DIGEST_BYTES:] == _seal(digest[:DIGEST_BYTES], rest)
+    except (ValueError, TypeError, OverflowError, struct.error) as error:
+        raise StorageError(f"the trial at log position {seq} is damaged: {error}; restore a backup") from error
+    if not intact:
+        raise StorageError(f"the trial at log position {seq} does not match its digest; restore a backup")
+
+
+def _seal(digest: bytes, rest: tuple[Any, ...]) -> bytes:
+    """`rest` is seq, time, id, worker, model version, info, present cost, removed."""
+    return blake2b(digest + pack({"rest": rest}), digest_size=_SEAL_BYTES).digest()
+
+
+def _vector(data: bytes) -> dict[str, Any]:
+    return {"shape": [len(data) // 8], "dtype": "<f8", "data": data}

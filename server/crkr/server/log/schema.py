@@ -10,10 +10,10 @@ from typing import Final
 
 from crkr.protocol import StorageError
 
-__all__ = ["FILE_NAME", "SCHEMA_VERSION", "check_version", "connect", "open_database", "storage_errors"]
+__all__ = ["FILE_NAME", "SCHEMA_VERSION", "check_version", "connect", "open_database", "read_errors", "storage_errors"]
 
 FILE_NAME: Final = "crkr.sqlite3"
-SCHEMA_VERSION: Final = 1
+SCHEMA_VERSION: Final = 2  # since which a digest covers the whole row; rows of the first version are read as they are
 APPLICATION_ID: Final = 0x63726B72  # "crkr"; `file` and SQLite tools show it
 BUSY_TIMEOUT_S: Final = 5.0
 
@@ -38,6 +38,10 @@ CREATE TABLE IF NOT EXISTS cache (task INTEGER PRIMARY KEY, version INTEGER NOT 
 """
 
 
+# The statements are right: where SQLite finds an error in one, the tables are not those that were made.
+_DAMAGED: Final = ("SQLITE_CORRUPT", "SQLITE_CORRUPT_INDEX", "SQLITE_NOTADB", "SQLITE_ERROR")
+
+
 @contextmanager
 def storage_errors(doing: str) -> Iterator[None]:
     """Turns what SQLite raises into `StorageError`, naming what was being done."""
@@ -45,8 +49,18 @@ def storage_errors(doing: str) -> Iterator[None]:
         yield
     except sqlite3.Error as error:
         name = str(getattr(error, "sqlite_errorname", ""))
-        advice = "; restore a backup" if name in ("SQLITE_CORRUPT", "SQLITE_NOTADB") else ""
+        advice = "; restore a backup" if name in _DAMAGED else ""
         raise StorageError(f"cannot {doing}: {error}{name and f' ({name})'}{advice}") from error
+
+
+@contextmanager
+def read_errors(doing: str) -> Iterator[None]:
+    """The same for reading, where a column of another type than was ever stored is damage too."""
+    try:
+        with storage_errors(doing):
+            yield
+    except (TypeError, ValueError, LookupError) as error:
+        raise StorageError(f"cannot {doing}: it holds what was never stored ({error}); restore a backup") from error
 
 
 def connect(path: Path, *, read_only: bool = False) -> sqlite3.Connection:
@@ -69,7 +83,7 @@ def open_database(path: Path) -> sqlite3.Connection:
     Raises:
         StorageError: It is damaged, of a newer version, no log at all, or cannot be written.
     """
-    with storage_errors(f"open the task log {path}"):
+    with read_errors(f"open the task log {path}"):
         connection = connect(path)
         try:
             _prepare(connection, path)
@@ -108,4 +122,6 @@ def _prepare(connection: sqlite3.Connection, path: Path) -> None:
         )
     connection.execute("BEGIN IMMEDIATE")  # fails here, not at the first report, where nothing can be written
     connection.execute(CACHE)
+    if connection.execute("PRAGMA user_version").fetchone()[0] != SCHEMA_VERSION:
+        connection.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")  # an older crkr could not read what is added now
     connection.execute("COMMIT")

@@ -6,21 +6,24 @@ import sqlite3
 import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, Final, final
 
-from crkr.protocol import Conflict, TaskSpec, Trial, id_from_wire, pack, unpack
+from crkr.protocol import Conflict, StorageError, TaskSpec, Trial, id_from_wire, pack, unpack
 from crkr.server.log.directory_lock import DirectoryLock
 from crkr.server.log.entries import Event, LoggedTrial, PendingReport, Stored
-from crkr.server.log.rows import TRIAL_COLUMNS, body_digest, trial_row
+from crkr.server.log.rows import DIGEST_BYTES, ROW_COLUMNS, TRIAL_COLUMNS, body_digest, changed_digest, trial_row
 from crkr.server.log.schema import FILE_NAME, open_database, storage_errors
 from crkr.server.log.sqlite_reader import SqliteReader
+from crkr.server.log.tally import TALLY_NAME, Tally, read_tally
 
 __all__ = ["SqliteLog"]
 
 _INSERT: Final = f"INSERT INTO trial (task, {TRIAL_COLUMNS}) VALUES ({', '.join('?' * 14)})"
 _FIND: Final = "SELECT seq, digest FROM trial WHERE task = ? AND id = ?"
+_ROW: Final = f"SELECT {ROW_COLUMNS} FROM trial WHERE task = ? AND id = ?"
+_MARK: Final = "UPDATE trial SET present_cost = ?, removed = ?, digest = ? WHERE task = ? AND id = ?"
 
 
 @final
@@ -28,23 +31,25 @@ class SqliteLog:
     """A `TaskLog` in `directory`, which is locked against other servers.
 
     Raises:
-        StorageError: In use, damaged, of a newer version, or not writable.
+        StorageError: In use, damaged, shorter than what was acknowledged, of a newer version, or not writable.
     """
 
     def __init__(self, directory: Path) -> None:
         self.path = directory / FILE_NAME
-        self._lock = DirectoryLock(directory)
-        try:
+        with ExitStack() as undo:
+            self._lock = DirectoryLock(directory)
+            undo.callback(self._lock.release)
+            _refuse_what_lost_its_end(self.path)
             self._writer = open_database(self.path)
+            undo.callback(self._writer.close)
             self.reads = SqliteReader(self.path)
-            with storage_errors("list the tasks"):
-                self._keys: dict[str, int] = {
-                    name: key for key, name in self._writer.execute("SELECT id, name FROM task")
-                }
-            self._last = {name: self.reads.last(name) for name in self._keys}
-        except BaseException:
-            self._lock.release()
-            raise
+            undo.callback(self.reads.close)
+            self._last = self.reads.positions()
+            with storage_errors(f"list the tasks of {self.path}"):
+                self._keys: dict[str, int] = dict(self._writer.execute("SELECT name, id FROM task"))
+            self._positions, self._added = sum(self._last.values()), 0
+            self._tally = Tally(directory, self._positions)
+            undo.pop_all()
         self._writing = threading.Lock()
         self._closed = False
 
@@ -54,6 +59,7 @@ class SqliteLog:
             cursor = connection.execute("INSERT INTO task (name) VALUES (?)", (spec.name,))
             key = int(cursor.lastrowid or 0)
             event = _insert_event(connection, key, 1, "create", {"spec": spec.to_dict()})
+            self._added += 1
         self._keys[spec.name], self._last[spec.name] = key, 1
         return event
 
@@ -67,6 +73,7 @@ class SqliteLog:
                 result = self._append_report(connection, report, last[report.task], now)
                 if isinstance(result, Stored) and result.fresh:
                     last[report.task] = result.fresh[-1].seq
+                    self._added += len(result.fresh)
                 results.append(result)
         self._last = last
         return results
@@ -87,7 +94,7 @@ class SqliteLog:
                 known = (last + len(fresh) + 1, digest)
                 fresh.append(LoggedTrial(known[0], now, trial))
                 rows.append(trial_row(key, known[0], now, trial, digest))
-            elif known[1] != digest:
+            elif known[1][:DIGEST_BYTES] != digest:
                 return _conflict(trial, int(known[0]))
             seen[trial.id.bytes] = (int(known[0]), digest)
             seqs.append(int(known[0]))
@@ -99,17 +106,13 @@ class SqliteLog:
         key, seq = self._keys[task], self._last[task] + 1
         with self._transaction(f"store {kind} of task {task!r}") as connection:
             event = _insert_event(connection, key, seq, kind, body)
+            self._added += 1
             if kind == "recost":
-                costs = zip(body["costs"], body["ids"], strict=True)
-                connection.executemany(
-                    "UPDATE trial SET present_cost = ? WHERE task = ? AND id = ?",
-                    [(cost, key, id_from_wire(identity).bytes) for cost, identity in costs],
-                )
+                for identity, cost in zip(body["ids"], body["costs"], strict=True):
+                    _mark(connection, key, id_from_wire(identity).bytes, cost=float(cost))
             elif kind == "remove":
-                connection.executemany(
-                    "UPDATE trial SET removed = 1 WHERE task = ? AND id = ?",
-                    [(key, id_from_wire(identity).bytes) for identity in body["ids"]],
-                )
+                for identity in body["ids"]:
+                    _mark(connection, key, id_from_wire(identity).bytes, removed=True)
         self._last[task] = seq
         return event
 
@@ -118,7 +121,7 @@ class SqliteLog:
         with self._transaction(f"store the cache of task {task!r}") as connection:
             connection.execute(
                 "INSERT OR REPLACE INTO cache (task, version, data, digest) VALUES (?, ?, ?, ?)",
-                (self._keys[task], version, data, body_digest("cache", data)),
+                (self._keys[task], version, data, body_digest(f"cache {version}", data)),
             )
 
     def close(self) -> None:
@@ -132,19 +135,43 @@ class SqliteLog:
                 self._writer.execute("PRAGMA wal_checkpoint(TRUNCATE)")
         finally:
             self._writer.close()
+            self._tally.close()
             self._lock.release()
 
     @contextmanager
     def _transaction(self, doing: str) -> Iterator[sqlite3.Connection]:
         with self._writing, storage_errors(doing):
             self._writer.execute("BEGIN IMMEDIATE")
+            self._added = 0
             try:
                 yield self._writer
                 self._writer.execute("COMMIT")
+                self._positions += self._added
+                self._tally.note(self._positions)
             except BaseException:
                 if self._writer.in_transaction:
                     self._writer.execute("ROLLBACK")
                 raise
+
+
+def _refuse_what_lost_its_end(path: Path) -> None:
+    """Before the database is opened for writing, which lets SQLite throw away what it cannot read."""
+    acknowledged = read_tally(path.parent)
+    if not acknowledged:
+        return
+    held = 0
+    if path.is_file() and path.stat().st_size:  # beside an empty database SQLite deletes the write-ahead log
+        reader = SqliteReader(path)
+        try:
+            held = sum(reader.positions().values())
+        finally:
+            reader.close()
+    if held < acknowledged:
+        raise StorageError(
+            f"the task log {path} holds {held} entries, but {acknowledged} were acknowledged: its end is lost, or it "
+            f"is an older copy; restore a backup into an empty directory, or delete {path.parent / TALLY_NAME} to go "
+            "on with what is there"
+        )
 
 
 def _insert_event(connection: sqlite3.Connection, key: int, seq: int, kind: str, body: Mapping[str, Any]) -> Event:
@@ -154,6 +181,16 @@ def _insert_event(connection: sqlite3.Connection, key: int, seq: int, kind: str,
         (key, seq, now, kind, data, body_digest(kind, data)),
     )
     return Event(seq, now, kind, unpack(data))
+
+
+def _mark(
+    connection: sqlite3.Connection, key: int, identity: bytes, *, cost: float | None = None, removed: bool = False
+) -> None:
+    """Gives a trial another present cost, or the mark of a removed one; what it has of the other stays."""
+    row = connection.execute(_ROW, (key, identity)).fetchone()
+    if row is not None:
+        cost, removed = row[13] if cost is None else cost, removed or bool(row[14])
+        connection.execute(_MARK, (cost, removed, changed_digest(row, cost, removed), key, identity))
 
 
 def _conflict(trial: Trial, seq: int) -> Conflict:

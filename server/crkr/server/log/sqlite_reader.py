@@ -17,17 +17,17 @@ from crkr.learner import TrialColumns
 from crkr.protocol import StorageError, UnknownTask, unpack
 from crkr.server.log.blocks import BLOCK_COLUMNS, columns_of
 from crkr.server.log.entries import Event, LoggedTrial
-from crkr.server.log.rows import PAGE_COLUMNS, TRIAL_COLUMNS, body_digest, trial_of, wire_of
-from crkr.server.log.schema import check_version, connect, storage_errors
+from crkr.server.log.rows import ROW_COLUMNS, body_digest, trial_of, wire_of
+from crkr.server.log.schema import check_version, connect, read_errors, storage_errors
 
 __all__ = ["SqliteReader"]
 
 _FIND: Final = "SELECT 1 FROM trial WHERE task = ? AND id = ?"
-_READ_TRIALS: Final = f"SELECT {TRIAL_COLUMNS} FROM trial WHERE task = ? AND seq > ? ORDER BY seq"
+_READ_TRIALS: Final = f"SELECT {ROW_COLUMNS} FROM trial WHERE task = ? AND seq > ? ORDER BY seq"
 _READ_BLOCKS: Final = f"SELECT {BLOCK_COLUMNS} FROM trial WHERE task = ? AND seq > ? AND seq < ? ORDER BY seq"
 _BLOCK: Final = 4096  # trials read together
 _READ_EVENTS: Final = "SELECT seq, time, kind, body, digest FROM event WHERE task = ? AND seq > ? ORDER BY seq"
-_PAGE: Final = f"SELECT {PAGE_COLUMNS} FROM trial WHERE task = ? AND seq > ? ORDER BY seq LIMIT ?"
+_PAGE: Final = f"SELECT {ROW_COLUMNS} FROM trial WHERE task = ? AND seq > ? ORDER BY seq LIMIT ?"
 _LAST: Final = """SELECT max((SELECT coalesce(max(seq), 0) FROM trial WHERE task = :task),
                             (SELECT coalesce(max(seq), 0) FROM event WHERE task = :task))"""
 _ROW_BYTES: Final = 240  # of a page entry, its vectors and info aside
@@ -36,6 +36,10 @@ _ROW_BYTES: Final = 240  # of a page entry, its vectors and info aside
 @final
 class SqliteReader:
     """A `LogReader` of a database file; every thread gets a connection of its own, which sees whole commits only.
+
+    Attributes:
+        path: The file.
+        is_log: There are tables in it.
 
     Raises:
         StorageError: There is no log, it is damaged, or of a newer version.
@@ -47,28 +51,44 @@ class SqliteReader:
         self.path = path
         self._threads = threading.local()
         self._open: list[sqlite3.Connection] = []
-        with storage_errors(f"open the task log {path}"):
-            check_version(self._connection(), path)
+        with read_errors(f"open the task log {path}"):
+            self.is_log: Final = check_version(self._connection(), path)
 
     def tasks(self) -> tuple[str, ...]:
         """Names of all tasks, oldest first."""
-        with storage_errors("list the tasks"):
+        with read_errors("list the tasks"):
             return tuple(name for (name,) in self._connection().execute("SELECT name FROM task ORDER BY id"))
 
     def last(self, task: str) -> int:
         """Log position of the task's last entry."""
-        with storage_errors(f"read the log of task {task!r}"):
+        with read_errors(f"read the log of task {task!r}"):
             return int(self._connection().execute(_LAST, {"task": self._key(task)}).fetchone()[0])
+
+    def positions(self) -> dict[str, int]:
+        """Log position of every task's last entry; none where there are no tables yet.
+
+        Raises:
+            StorageError: There are entries of a task that is not listed.
+        """
+        if not self.is_log:
+            return {}
+        with read_errors(f"find the end of the task log {self.path}"):
+            connection = self._connection()
+            names = {int(key): str(name) for key, name in connection.execute("SELECT id, name FROM task ORDER BY id")}
+            if {key for (key,) in connection.execute("SELECT DISTINCT task FROM event")} - names.keys():
+                raise StorageError(f"{self.path} holds entries of tasks that it does not list; restore a backup")
+            last = {key: connection.execute(_LAST, {"task": key}).fetchone()[0] for key in names}
+            return {name: int(last[key]) for key, name in names.items()}
 
     def missing(self, task: str, ids: Sequence[UUID]) -> list[UUID]:
         """The ids that name no stored trial."""
-        with storage_errors("look up trials"):
+        with read_errors("look up trials"):
             reader, key = self._connection(), self._key(task)
             return [one for one in ids if reader.execute(_FIND, (key, one.bytes)).fetchone() is None]
 
     def read(self, task: str, after: int = 0) -> Iterator[LoggedTrial | Event]:
         """All entries past a log position, in order; raises `StorageError` at the first that is damaged or missing."""
-        with storage_errors(f"read the log of task {task!r}"):
+        with read_errors(f"read the log of task {task!r}"):
             connection, key = self._connection(), self._key(task)
             events = iter([_event(row) for row in connection.execute(_READ_EVENTS, (key, after))])
             event = next(events, None)
@@ -87,7 +107,7 @@ class SqliteReader:
 
     def blocks(self, task: str, dimensions: int, outputs: int, upto: int) -> Iterator[TrialColumns | Event]:
         """The entries up to a log position as `read` gives them, neighbouring trials together; many times quicker."""
-        with storage_errors(f"read the log of task {task!r}"):
+        with read_errors(f"read the log of task {task!r}"):
             connection, key = self._connection(), self._key(task)
             events = [_event(row) for row in connection.execute(_READ_EVENTS, (key, 0))]
             expected = 0
@@ -109,7 +129,7 @@ class SqliteReader:
         """Trials past a log position as wire maps with their present costs, and where to go on (None at the end)."""
         entries: list[dict[str, Any]] = []
         size = 0
-        with storage_errors(f"read samples of task {task!r}"):
+        with read_errors(f"read samples of task {task!r}"):
             for row in self._connection().execute(_PAGE, (self._key(task), after, limit + 1)):
                 size += _ROW_BYTES + sum(len(value) for value in row if isinstance(value, bytes | str))
                 if entries and (len(entries) == limit or size > most_bytes):
@@ -119,13 +139,13 @@ class SqliteReader:
 
     def load_cache(self, task: str) -> tuple[int, bytes] | None:
         """The bytes kept last and their log position, or None where there are none or they are damaged."""
-        with storage_errors(f"read the cache of task {task!r}"):
+        with read_errors(f"read the cache of task {task!r}"):
             row = (
                 self._connection()
                 .execute("SELECT version, data, digest FROM cache WHERE task = ?", (self._key(task),))
                 .fetchone()
             )
-        return (int(row[0]), row[1]) if row and body_digest("cache", row[1]) == row[2] else None
+        return (int(row[0]), row[1]) if row and body_digest(f"cache {row[0]}", row[1]) == row[2] else None
 
     @contextmanager
     def snapshot(self) -> Iterator[None]:
@@ -139,7 +159,7 @@ class SqliteReader:
 
     def integrity(self) -> list[str]:
         """What the database itself finds wrong with its pages and indexes; reads everything."""
-        with storage_errors("check the task log"):
+        with read_errors("check the task log"):
             found = [str(row[0]) for row in self._connection().execute("PRAGMA integrity_check")]
         return [] if found == ["ok"] else found
 

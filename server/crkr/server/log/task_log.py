@@ -48,6 +48,10 @@ class LogReader(Protocol):
         """The bytes kept last and their log position, or None where there are none or they are damaged."""
         ...
 
+    def integrity(self) -> list[str]:
+        """What the store itself finds wrong with how it is laid out; reads everything."""
+        ...
+
     def backup(self, target: Path) -> None:
         """Copies the log, as it is at this moment, into a new file; one that is there under its name is whole."""
         ...

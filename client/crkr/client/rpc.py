@@ -43,13 +43,19 @@ class Rpc:
         """
         verb = key.rpartition("/")[2]
         patient = verb in _PATIENT or message.get("wait") is True
+        reply = self.exchange(key, verb, pack(message), timeout_s, patient=patient)
+        with reading(verb):
+            return unpack(reply)
+
+    def exchange(
+        self, key: str, verb: str, payload: bytes, timeout_s: float | None = None, *, patient: bool = False
+    ) -> bytes:
+        """The same in bytes; `patient` where one attempt may take all the time. Raises what `call` does."""
         try:
-            reply = self.transport.query(key, verb, pack(message), self.deadline(timeout_s), patient=patient)
+            return self.transport.query(key, verb, payload, self.deadline(timeout_s), patient=patient)
         except CrkrError as error:
             error.details = plain(error.details)
             raise
-        with reading(verb):
-            return unpack(reply)
 
 
 @final

@@ -12,6 +12,7 @@ from crkr.client.rpc import Rpc, plain, reading
 from crkr.client.subscription import TOPICS, Subscription
 from crkr.protocol import (
     MAX_TELEMETRY_BYTES,
+    Array,
     Explanation,
     Invalid,
     Prediction,
@@ -23,13 +24,16 @@ from crkr.protocol import (
     Trial,
     UnknownTask,
     admin_key,
+    check_states,
     make_trials,
     pack,
     pub_key,
     rpc_key,
     task_key,
+    unpack,
 )
-from crkr.protocol.checks import finite_array, integer, required
+from crkr.protocol.checks import finite_array, flag, integer, required, text
+from crkr.protocol.predict_bytes import packed_question, read_answer
 
 __all__ = ["Task"]
 
@@ -88,8 +92,12 @@ class Task:
             NoSamples: Nothing was learned yet.
             NovelState: The task refuses states this far from its samples.
         """
+        spec = self.spec
+        dimensions = len(spec.state)
+        if trial_ids is None and getattr(states, "shape", None) == (dimensions,):
+            return self._predict_one(check_states(states, dimensions), explore, worker, timeout_s)
         request = PredictRequest.create(
-            len(self.spec.state),
+            dimensions,
             states,
             explore=explore,
             trial_ids=None if trial_ids is None else list(trial_ids),
@@ -101,6 +109,15 @@ class Task:
         reply = self._rpc.call(task_key(self.name, "predict"), message, timeout_s)
         with reading("predict"):
             return Prediction.from_wire(reply, request.states)
+
+    def _predict_one(self, state: Array, explore: object, worker: object, timeout_s: float | None) -> Prediction:
+        """The commonest question, without a map on the way there and back."""
+        named = None if worker is None else text(worker, "worker", longest=128)
+        payload = packed_question(state, flag(explore, "explore"), _random_ids(1)[0], named)
+        reply = self._rpc.exchange(task_key(self.name, "predict"), "predict", payload, timeout_s)
+        with reading("predict"):
+            answer = read_answer(reply, state, len(self.spec.goal))
+            return Prediction.from_wire(unpack(reply), state) if answer is None else answer
 
     def report(
         self,

@@ -18,7 +18,7 @@ import numpy as np
 
 from crkr.learner import Model
 from crkr.protocol import Array, CrkrError, Invalid, NovelState, Prediction, PredictRequest, pack
-from crkr.server.prediction_wire import packed_rows, state_bytes
+from crkr.protocol.predict_bytes import packed_rows, state_bytes
 from crkr.server.request import Request
 from crkr.server.tasks import ServedTask, Tasks
 from crkr.server.workers import Workers

@@ -1,4 +1,4 @@
-"""The quick way to write a reply gives the very bytes of the protocol's own codec."""
+"""The quick ways to write and read predictions agree with the protocol's own codec, byte for byte."""
 
 from uuid import UUID
 
@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from crkr.protocol import Prediction, pack
-from crkr.server.prediction_wire import packed_rows, state_bytes
+from crkr.protocol import Prediction, PredictRequest, pack, unpack
+from crkr.protocol.predict_bytes import packed_question, packed_rows, read_answer, state_bytes
 
 
 def prediction(rng: np.random.Generator, shape: tuple[int, ...], p: int, q: int) -> Prediction:
@@ -69,3 +69,50 @@ def test_an_answer_for_one_state_is_packed_as_itself(seed: int, p: int, q: int) 
 def test_any_other_form_of_states_is_left_to_the_full_check(states: object) -> None:
     assert state_bytes({"states": states}, 2) is None
     assert state_bytes({"states": {"shape": [2], "dtype": "<f8", "data": bytes(16)}}, 2) == bytes(16)
+
+
+@given(
+    st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=1, max_size=70),
+    st.booleans(),
+    st.binary(min_size=16, max_size=16),
+    st.none() | st.text(max_size=128),
+)
+def test_a_question_is_packed_as_its_map(
+    state: list[float], explore: bool, trial_id: bytes, worker: str | None
+) -> None:
+    asked = PredictRequest.create(len(state), state, explore=explore, trial_ids=[trial_id], worker=worker)
+    assert packed_question(asked.states, explore, trial_id, worker) == pack(asked.to_wire())
+
+
+@given(st.integers(0, 2**32), st.integers(1, 40))
+def test_an_answer_is_read_as_its_map(seed: int, p: int) -> None:
+    sent = prediction(np.random.default_rng(seed), (), p, 0)
+    found = read_answer(pack(sent.to_wire()), sent.states, p)
+    assert found is not None
+    assert pack(found.to_wire()) == pack(sent.to_wire())
+    assert found.states is sent.states
+    for array in (found.goals, found.means, found.sigmas, found.novelty):
+        assert array.dtype == np.float64
+        assert (array.flags.aligned, array.flags.writeable) == (True, False)
+    assert (found.novelty.shape, found.trial_ids, type(found.compute_us)) == ((), sent.trial_ids, int)
+
+
+@given(st.integers(0, 2**32), st.integers(1, 20), st.integers(1, 20), st.integers(0, 3))
+def test_an_answer_of_another_form_is_left_to_the_codec(seed: int, p: int, asked: int, q: int) -> None:
+    sent = prediction(np.random.default_rng(seed), (), p, q)
+    if (p, 0) != (asked, q):
+        assert read_answer(pack(sent.to_wire()), sent.states, asked) is None
+    batch = prediction(np.random.default_rng(seed), (1,), p, q)
+    assert read_answer(pack(batch.to_wire()), batch.states, p) is None
+
+
+@given(st.integers(0, 2**32), st.data())
+def test_a_damaged_answer_is_never_read_otherwise_than_by_the_codec(seed: int, data: st.DataObject) -> None:
+    sent = prediction(np.random.default_rng(seed), (), 3, 0)
+    whole = bytearray(pack(sent.to_wire()))
+    for _ in range(data.draw(st.integers(1, 3))):
+        whole[data.draw(st.integers(0, len(whole) - 1))] = data.draw(st.integers(0, 255))
+    damaged = bytes(whole[: data.draw(st.integers(0, len(whole)))]) if data.draw(st.booleans()) else bytes(whole)
+    found = read_answer(damaged, sent.states, 3)
+    if found is not None:
+        assert pack(found.to_wire()) == pack(Prediction.from_wire(unpack(damaged), sent.states).to_wire())

@@ -69,3 +69,17 @@ def test_a_trial_does_not_depend_on_its_company(trials: tuple[TableTennis, np.nd
         alone = batch.play(balls[row : row + 1], goals[row : row + 1])
         assert alone.cost[0] == pytest.approx(together.cost[row], abs=1e-9, nan_ok=True)
         assert (alone.strict[0], alone.paper[0]) == (together.strict[row], together.paper[row])
+
+
+def test_balls_that_never_reach_the_net_are_judged_like_any_other(
+    trials: tuple[TableTennis, np.ndarray, np.ndarray], arm: Arm
+) -> None:
+    """Bold exploration has many that are missed or leave slowly: they overflow nowhere and upset no neighbour."""
+    skill, balls, goals = trials
+    rng = np.random.default_rng(4)
+    wild = goals + rng.normal(size=goals.shape) * SCALES * 8
+    result = AnalyticBatch(arm).play(balls, wild)
+    alone = [skill.attempt(ball, goal) for ball, goal in zip(balls, wild, strict=True)]
+    assert sum(outcome.info["reason"] == "miss" for outcome in alone) > 20
+    strict = np.array([outcome.info["outcomes"]["strict"] for outcome in alone])
+    assert (strict == result.strict).mean() >= 0.97

@@ -42,6 +42,7 @@ Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 PIECES: Final = 6  # integration steps of a flight; 1e-5 m over a second
+LONGEST_FLIGHT: Final = 3.0  # [s], as for one ball
 LONGEST_TOUCH: Final = 0.06  # [s] from the hit time
 INTERVALS, HIT_INTERVAL, SMOOTHNESS = 45, 25, 20.0  # as `Primitive` has them
 
@@ -184,7 +185,7 @@ def _returned(ball: Ball) -> tuple[Flags, Flags]:
     _, landed = _fall(ball, TOUCH_HEIGHT)
     away = (ball.vx > 0) & ((ball.z > TOUCH_HEIGHT) | (ball.vz > 0)) & np.isfinite(landed.x)
     on_table = (np.abs(landed.x) <= TABLE_HALF_LENGTH) & (np.abs(landed.y) <= TABLE_HALF_WIDTH)
-    crossing = _glide(ball, -ball.x / np.maximum(ball.vx, 0.1))
+    crossing = _glide(ball, np.minimum(-ball.x / np.maximum(ball.vx, 0.1), LONGEST_FLIGHT))
     for _ in range(2):
         crossing = fly(crossing, np.clip(-crossing.x / np.maximum(crossing.vx, 0.1), -0.2, 0.2))
     over = (crossing.z > NET_TOP + BALL_RADIUS) | (np.abs(crossing.y) > NET_HALF_LENGTH + BALL_RADIUS)

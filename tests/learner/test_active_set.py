@@ -1,4 +1,4 @@
-"""The learner's active set after any events, beside the batch algorithm and beside a replay of the same events."""
+"""What the learner learns from after any events, beside the batch algorithm and beside a replay of the same events."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
-from crkr.learner import Learner, radii, top
+from crkr.learner import Learner, OutcomeExplorer, radii, top
 from crkr.protocol import TaskSpec, make_trials
 
 LENGTHSCALE = 0.5
@@ -22,6 +22,8 @@ def spec(budget: int) -> TaskSpec:
             "name": "t",
             "state": [{"name": f"x{i}", "low": -1, "high": 1, "lengthscale": LENGTHSCALE} for i in range(2)],
             "goal": [{"name": "g", "low": -1, "high": 1}],
+            "outcome": [{"name": name, "tolerance": 0.1, "group": group} for name, group in ("aa", "ba", "cb")],
+            "exploration": {"type": "outcome", "min_trials": 3, "neighbours": 5},
             "budget": budget,
         }
     )
@@ -43,8 +45,14 @@ class LearnerAgainstTheBatchAlgorithm(RuleBasedStateMachine):
         self.events.append((name, (seq, *arguments)))
         perform(self.learner, self.events[-1])
 
-    @rule(success=st.booleans(), kind=st.sampled_from(["trial", "trial", "demonstration", "evaluation", "failed"]))
-    def report(self, success: bool, kind: str) -> None:
+    @rule(
+        success=st.booleans(),
+        kind=st.sampled_from(["trial", "trial", "demonstration", "evaluation", "failed"]),
+        seen=st.sampled_from(["all", "all", "one group", "part of a group", "nothing", "not even asked"]),
+    )
+    def report(self, success: bool, kind: str, seen: str) -> None:
+        outcome = self.rng.normal(size=3)
+        outcome[{"one group": [2], "part of a group": [0, 2], "nothing": [0, 1, 2]}.get(seen, [])] = np.nan
         entry = {
             "id": UUID(int=len(self.told)),
             "state": self.rng.integers(-3, 4, 2) * 0.1,  # a lattice: duplicates and equal distances
@@ -52,6 +60,7 @@ class LearnerAgainstTheBatchAlgorithm(RuleBasedStateMachine):
             "cost": float(self.rng.integers(0, 5) / 4),
             "success": success and kind != "failed",
             "kind": kind,
+            "outcome": None if seen == "not even asked" else outcome,
         }
         self.told.append({**entry, "removed": False})
         self.apply("report", entry)
@@ -105,6 +114,25 @@ class LearnerAgainstTheBatchAlgorithm(RuleBasedStateMachine):
             assert self.learner.active_ids == self.expected()
             assert self.learner.eligible == len(self.eligible())
 
+    @invariant()
+    def what_guides_is_what_was_observed(self) -> None:
+        if hasattr(self, "learner"):
+            explorer = self.learner.model.explorer
+            assert isinstance(explorer, OutcomeExplorer)
+            observed = [
+                entry
+                for entry in self.told
+                if not entry["removed"]
+                and entry["kind"] != "evaluation"
+                and entry["outcome"] is not None
+                and (np.isfinite(entry["outcome"][:2]).all() or np.isfinite(entry["outcome"][2]))
+            ]
+            outcomes = np.array([entry["outcome"] for entry in observed]).reshape(-1, 3)
+            np.testing.assert_array_equal(explorer.trials.Y, outcomes / 0.1)
+            states = np.array([entry["state"] for entry in observed]).reshape(-1, 2)
+            np.testing.assert_allclose(explorer.trials.X[:, :2], states / LENGTHSCALE)
+            assert explorer.trials.count(1) == np.count_nonzero(np.isfinite(outcomes[:, 2]))
+
     def teardown(self) -> None:
         if not hasattr(self, "learner"):
             return
@@ -114,6 +142,13 @@ class LearnerAgainstTheBatchAlgorithm(RuleBasedStateMachine):
                 perform(replayed, event)
         assert replayed.active_ids == self.learner.active_ids
         assert (replayed.version, replayed.eligible) == (self.learner.version, len(self.eligible()))
+        if not self.learner.active_ids:
+            return
+        states, ids = self.rng.uniform(-0.4, 0.4, (6, 2)), [UUID(int=number) for number in range(6)]
+        for explore in (False, True):
+            ours, theirs = (one.predict(states, explore, ids) for one in (self.learner, replayed))
+            np.testing.assert_allclose(ours.goals, theirs.goals, rtol=0, atol=1e-9)
+            assert ours.policy == theirs.policy
 
 
 def perform(learner: Learner, event: tuple[str, tuple[Any, ...]]) -> None:

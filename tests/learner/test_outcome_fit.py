@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from sklearn.linear_model import Ridge  # type: ignore[import-untyped]  # it has no annotations
+from sklearn.linear_model import Ridge
 
 from crkr.learner.outcome_fit import RIDGE, LocalFit, fit_locally, nearest
 from crkr.learner.outcome_index import ObservedTrials

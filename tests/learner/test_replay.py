@@ -62,6 +62,7 @@ def as_columns(seqs: Sequence[int], trials: Sequence[Trial]) -> TrialColumns:
         costs=np.array([np.nan if trial.cost is None else trial.cost for trial in trials]),
         kinds=np.array([KINDS.index(trial.kind) for trial in trials], dtype=np.uint8),
         success=np.array([trial.success for trial in trials]),
+        outcomes=np.array([np.full(2, np.nan) if trial.outcome is None else trial.outcome for trial in trials]),
     )
 
 
@@ -81,11 +82,22 @@ def test_columns_are_refused_out_of_order_out_of_bulk_and_with_a_known_id(make_s
             learner.apply_columns(as_columns([4, 5], [trials[2], trials[0]]))
 
 
+def test_columns_without_outcomes_are_refused_where_they_are_learned_from(make_spec: MakeSpec) -> None:
+    spec = make_spec(outcome=[{"name": "miss", "tolerance": 0.2}])
+    trials = make_trials(spec, state=np.zeros((3, 2)), goal=np.zeros((3, 2)), cost=np.zeros(3), success=True)
+    learner = Learner(spec)
+    with learner.bulk(), pytest.raises(Invalid, match="columns must have them"):
+        learner.apply_columns(replace(as_columns([2, 3, 4], trials), outcomes=None))
+
+
 @pytest.mark.parametrize("selector", ["anms", "full", "freeze"])
 @pytest.mark.parametrize("way", ["one by one", "grouped", "bulk", "bulk, then one by one", "bulk, as columns"])
 def test_replaying_the_events_gives_the_same_learner(make_spec: MakeSpec, selector: str, way: str) -> None:
     rng = np.random.default_rng(11)
-    spec = make_spec(3, 2, budget=30, selector=selector)
+    outcome = [{"name": name, "tolerance": 0.2, "group": name} for name in ("near", "far")]
+    spec = make_spec(3, 2, budget=30, selector=selector, outcome=outcome)
+    measured = rng.normal(size=(200, 2))
+    measured[rng.uniform(size=200) < 0.4, 1] = np.nan
     trials = list(
         make_trials(
             spec,
@@ -93,6 +105,7 @@ def test_replaying_the_events_gives_the_same_learner(make_spec: MakeSpec, select
             goal=rng.uniform(-1, 1, (200, 2)),
             cost=rng.integers(0, 8, 200) / 8,
             success=list(rng.uniform(size=200) < 0.7),
+            outcome=measured,
         )
     )
     first = Learner(spec)
@@ -122,7 +135,8 @@ def test_replaying_the_events_gives_the_same_learner(make_spec: MakeSpec, select
     queries, ids = rng.uniform(-3, 3, (50, 3)), [uuid4() for _ in range(50)]
     for explore in (False, True):
         ours, theirs = (learner.predict(queries, explore, ids) for learner in (first, second))
-        for name in ("goals", "means", "sigmas", "novelty"):
+        assert ours.predicted_outcome is not None
+        for name in ("goals", "means", "sigmas", "novelty", "predicted_outcome", "predicted_outcome_sd"):
             np.testing.assert_allclose(getattr(ours, name), getattr(theirs, name), rtol=1e-9, atol=1e-9)
 
 

@@ -113,14 +113,20 @@ class OutcomeExplorer:
         """The posterior, its mean within the bounds, and the line it was made with; `line` touches at the mean."""
         own = self.scales
         spread = np.minimum(self.settings.trust * sigma / own.scales, own.high - own.low)
-        posterior = self._within(condition(mean, spread, line))
+        posterior = self._bounded(mean, spread, line)
         for _ in range(1, self.settings.iterations):
             line = self._line(z, posterior.g)
-            posterior = self._within(condition(mean, spread, line))
+            posterior = self._bounded(mean, spread, line)
         return posterior, line
 
-    def _within(self, posterior: Posterior) -> Posterior:
-        return replace(posterior, g=np.minimum(np.maximum(posterior.g, self.scales.low), self.scales.high))
+    def _bounded(self, mean: Array, spread: Array, line: OutcomeLine) -> Posterior:
+        """The posterior with a mean within the bounds: what sticks out is held at its bound, and the rest makes up."""
+        posterior = condition(mean, spread, line)
+        g = self.scales.within(posterior.g)
+        beyond = g != posterior.g
+        if beyond.any():
+            g = self.scales.within(condition(np.where(beyond, g, mean), np.where(beyond, 0.0, spread), line).g)
+        return replace(posterior, g=g)
 
     def _drawn(self, posterior: Posterior, line: OutcomeLine, trial_id: UUID) -> Array:
         p, q = len(posterior.g), len(self.scales.target)
@@ -148,7 +154,7 @@ class OutcomeExplorer:
 
     def _choice(self, goal: Array, scaled: Array, line: OutcomeLine, *, corrected: bool) -> Choice:
         own = self.scales
-        o, sd = line.at(np.minimum(np.maximum(scaled, own.low), own.high))
+        o, sd = line.at(own.within(scaled))
         predicted, deviation = np.full((2, len(own.target)), np.nan)
         tolerance = own.tolerance[line.entries]
         predicted[line.entries] = own.target[line.entries] + tolerance * o

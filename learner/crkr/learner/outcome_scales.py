@@ -65,7 +65,11 @@ class OutcomeScales:
 
     def scaled(self, goals: Array) -> Array:
         """Goals (..., p) in scales from the midpoint, moved into the bounds."""
-        return np.minimum(np.maximum((goals - self.middle) / self.scales, self.low), self.high)
+        return self.within((goals - self.middle) / self.scales)
+
+    def within(self, scaled: Array) -> Array:
+        """Scaled goals (..., p) moved into the bounds."""
+        return np.minimum(np.maximum(scaled, self.low), self.high)
 
     def points(self, states: Array, goals: Array) -> Array:
         """Trials (n, d + p) in the metric that says which are near, of states (n, d) and goals (n, p)."""

@@ -1,6 +1,8 @@
 """A worker's token is there while it lives, and its id is its own."""
 
+import threading
 from collections.abc import Callable
+from contextlib import ExitStack
 from typing import Any
 
 import pytest
@@ -38,6 +40,31 @@ def test_an_id_in_use_is_refused_and_free_again_afterwards(make_peer: MakePeer) 
         presence.close()
         presence.close()
         other.task("throw").announce("w").close()
+
+
+def test_of_those_who_want_an_id_at_once_one_gets_it(make_peer: MakePeer) -> None:
+    peer = make_peer([{}])
+    with ExitStack() as stack:
+        clients = [stack.enter_context(Client(peer.endpoint)) for _ in range(3)]
+        for name in ("a", "b", "c", "d", "e"):
+            ready, found = threading.Barrier(len(clients)), list[Any]()
+
+            def announce(
+                client: Client, name: str = name, ready: threading.Barrier = ready, found: list[Any] = found
+            ) -> None:
+                ready.wait(10)
+                try:
+                    found.append(stack.enter_context(client.task("throw").announce(name, timeout_s=0.5)))
+                except Conflict as refusal:
+                    found.append(refusal)
+
+            threads = [threading.Thread(target=announce, args=(client,)) for client in clients]
+            for thread in threads:
+                thread.start()
+            for thread in threads:
+                thread.join(10)
+            assert sorted(type(one).__name__ for one in found) == ["Conflict", "Conflict", "Presence"]
+        assert alive(peer.session) == ["a", "b", "c", "d", "e"]
 
 
 def test_a_token_outlives_its_server(make_peer: MakePeer) -> None:

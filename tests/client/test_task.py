@@ -137,5 +137,5 @@ def test_the_server_sees_a_worker_while_it_is_announced(task: Task) -> None:
     with task.announce("w-1"):
         while [(w["id"], w["state"]) for w in task.status()["workers"]] != [("w-1", "alive")]:
             pass  # the pytest timeout is the deadline
-    while [w["state"] for w in task.status()["workers"]] != ["lost"]:
+    while [w["state"] for w in task.status()["workers"]] != ["left"]:
         pass

@@ -1,11 +1,18 @@
-"""A worker's sign of life: a Zenoh liveliness token that vanishes with its process."""
+"""A worker's sign of life: a Zenoh liveliness token that vanishes with its process.
+
+Two tokens more stand beside it for a moment. Whoever wants an id first claims it: of two who do so at once at least one
+sees the other's claim, and whoever sees one steps back. Whoever leaves says so by a token while it withdraws its own,
+so that it is not taken for lost.
+"""
 
 from __future__ import annotations
 
+import random
 import re
 import time
 from types import TracebackType
 from typing import Final, final
+from uuid import uuid4
 
 import zenoh
 
@@ -13,6 +20,7 @@ from crkr.client.config import brief
 from crkr.client.forks import hold, is_forked, release
 from crkr.client.transport import Transport
 from crkr.protocol import Conflict, Internal, Invalid, live_worker_key
+from crkr.protocol.keys import claim_worker_key, left_worker_key
 
 __all__ = ["Presence"]
 
@@ -28,9 +36,10 @@ class Presence:
         worker_id: Who is there.
     """
 
-    def __init__(self, worker_id: str, token: zenoh.LivelinessToken) -> None:
+    def __init__(self, worker_id: str, token: zenoh.LivelinessToken, session: zenoh.Session, left_key: str) -> None:
         self.worker_id: Final = worker_id
         self._token: zenoh.LivelinessToken | None = token
+        self._session, self._left_key = session, left_key
         hold(self, token)
 
     @classmethod
@@ -44,26 +53,27 @@ class Presence:
         """
         if not isinstance(worker_id, str) or _WORKER.fullmatch(worker_id) is None:
             raise Invalid(f"a worker id is 1 to 127 of A-Z, a-z, 0-9 and ._:- ; got {worker_id!r:.200}")
-        key = live_worker_key(task, worker_id)
         session = transport.connect(deadline)
         try:
-            while _is_alive(session, key):
+            while (token := _take(session, task, worker_id)) is None:
                 if time.monotonic() > deadline:
                     raise Conflict(f"worker id {worker_id!r} is in use on task {task!r}: give each worker its own")
-                transport.session.pause(_PAUSE_S)
-            return cls(worker_id, session.liveliness().declare_token(key))
+                transport.session.pause(_PAUSE_S * random.uniform(0.2, 1.0))
+            return cls(worker_id, token, session, left_worker_key(task, worker_id))
         except zenoh.ZError as error:
             raise Internal(f"the token of worker {worker_id!r} could not be declared: {brief(error)}") from error
 
     def close(self) -> None:
-        """Withdraws the token; a second call does nothing."""
+        """Says that the worker leaves and withdraws its token; a second call does nothing."""
         if is_forked():
             return
         token, self._token = self._token, None
         release(self)
         if token is not None:
             try:
-                token.undeclare()  # type: ignore[no-untyped-call]  # zenoh's stub gives it no return type
+                left = self._session.liveliness().declare_token(self._left_key)
+                _withdraw(token)
+                _withdraw(left)
             except zenoh.ZError as error:
                 if "closed" not in str(error).lower():  # with its session, a token is gone already
                     raise Internal(f"the token could not be withdrawn: {brief(error)}") from error
@@ -77,6 +87,28 @@ class Presence:
         self.close()
 
 
-def _is_alive(session: zenoh.Session, key: str) -> bool:
+def _take(session: zenoh.Session, task: str, worker_id: str) -> zenoh.LivelinessToken | None:
+    """The token of a worker's id, or None where somebody has it or wants it too.
+
+    Who has it had claimed it before and lets go of the claim only after its token stands; so either shows.
+    """
+    key, claim = live_worker_key(task, worker_id), claim_worker_key(task, worker_id, str(uuid4()))
+    if _alive(session, key):
+        return None
+    claimed = session.liveliness().declare_token(claim)
+    try:
+        if _alive(session, claim_worker_key(task, worker_id, "*")) - {claim} or _alive(session, key):
+            return None
+        return session.liveliness().declare_token(key)
+    finally:
+        _withdraw(claimed)
+
+
+def _alive(session: zenoh.Session, key: str) -> set[str]:
+    """Keys of the tokens that stand."""
     replies = session.liveliness().get(key, zenoh.handlers.FifoChannel(16), timeout=0.5)
-    return any(reply.ok is not None for reply in replies)
+    return {str(reply.ok.key_expr) for reply in replies if reply.ok is not None}
+
+
+def _withdraw(token: zenoh.LivelinessToken) -> None:
+    token.undeclare()  # type: ignore[no-untyped-call]  # zenoh's stub gives it no return type

@@ -17,6 +17,8 @@ __all__ = [
     "TASK_VERBS",
     "admin_key",
     "check_name",
+    "claim_worker_key",
+    "left_worker_key",
     "live_server_key",
     "live_worker_key",
     "pub_key",
@@ -74,6 +76,16 @@ def live_server_key(server_id: str) -> str:
 def live_worker_key(task: str, worker_id: str) -> str:
     """Key of a worker's liveliness token."""
     return f"{ROOT}/task/{task}/live/worker/{worker_id}"
+
+
+def left_worker_key(task: str, worker_id: str) -> str:
+    """Key of the token that a worker holds while it withdraws its own: whoever sees it knows that it left in order."""
+    return f"{ROOT}/task/{task}/live/left/{worker_id}"
+
+
+def claim_worker_key(task: str, worker_id: str, claim: str) -> str:
+    """Key of the token of one who wants a worker's id; two who want it at once see each other by it."""
+    return f"{ROOT}/task/{task}/live/claim/{worker_id}/{claim}"
 
 
 def split_key(key: str) -> tuple[str, str, str]:

@@ -23,10 +23,10 @@ from crkr.protocol import KINDS, PROTOCOL_VERSION
 from crkr.server.durations import BOUNDS_S, Durations
 from crkr.server.tasks import ServedTask
 from crkr.server.vitals import Vitals
+from crkr.server.workers import STATES
 
 __all__ = ["VitalsCollector"]
 
-_STATES: Final = ("alive", "lost", "unannounced")
 _BOUNDS: Final = (*(f"{bound:g}" for bound in BOUNDS_S), "+Inf")
 # One number for each task: metric, what it means, from a task.
 _OF_A_TASK: Final = {
@@ -98,7 +98,7 @@ class VitalsCollector(Collector):
         trials = GaugeMetricFamily("crkr_task_open_trials", "Goals given out and not reported yet.", labels=["task"])
         for task in self._vitals.tasks.all():
             known = self._vitals.workers.status(task.name)
-            for state in _STATES:
+            for state in STATES:
                 workers.add_metric([task.name, state], sum(worker["state"] == state for worker in known))
             trials.add_metric([task.name], sum(worker["open_trials"] for worker in known))
         yield from (workers, trials)

@@ -12,24 +12,39 @@ from typing import Any, Final, final
 import zenoh
 
 from crkr.protocol import live_worker_key
+from crkr.protocol.keys import left_worker_key
 
-__all__ = ["Workers"]
+__all__ = ["STATES", "Workers"]
 
 logger = logging.getLogger(__name__)
 
+STATES: Final = ("alive", "left", "lost", "unannounced")
 _MOST_WORKERS: Final = 4096  # the longest unseen is forgotten first
 _MOST_OPEN: Final = 4096  # trials a worker, the oldest is forgotten first
 _FIFO: Final = 65536
+# One subscription to both kinds of token, so that a worker's leaving comes before the end of its own.
+_TOKENS: Final = live_worker_key("*", "*").replace("/worker/", "/*/")
+_WORKER, _LEFT = (key("*", "*").split("/")[-2] for key in (live_worker_key, left_worker_key))
 
 
 @final
 class _Worker:
-    __slots__ = ("alive", "announced", "last_seen", "open")
+    __slots__ = ("alive", "announced", "last_seen", "left", "open", "seen")
 
     def __init__(self) -> None:
-        self.alive = self.announced = False
-        self.last_seen = time.time()
-        self.open: OrderedDict[bytes, None] = OrderedDict()
+        self.alive = self.announced = self.left = False
+        self.open: OrderedDict[bytes, float] = OrderedDict()  # trial -> when it was asked for, the oldest first
+        self.see()
+
+    def see(self) -> None:
+        """Notes that it gave a sign just now: the time of day to be told, the monotonic one to be compared."""
+        self.last_seen, self.seen = time.time(), time.monotonic()
+
+    @property
+    def state(self) -> str:
+        if self.alive:
+            return "alive"
+        return "left" if self.left else "lost" if self.announced else "unannounced"
 
 
 @final
@@ -43,9 +58,7 @@ class Workers:
 
     def watch(self, session: zenoh.Session) -> None:
         """Follows the tokens from now on, those that stand already too; ends with the session."""
-        tokens = session.liveliness().declare_subscriber(
-            live_worker_key("*", "*"), zenoh.handlers.FifoChannel(_FIFO), history=True
-        )
+        tokens = session.liveliness().declare_subscriber(_TOKENS, zenoh.handlers.FifoChannel(_FIFO), history=True)
         self._thread = threading.Thread(target=self._follow, args=(tokens,), name="liveliness", daemon=True)
         self._thread.start()
 
@@ -58,9 +71,9 @@ class Workers:
         """A worker was given goals to try."""
         with self._lock:
             entry = self._entry(task, worker)
-            entry.last_seen = time.time()
+            entry.see()
             for trial in trials:
-                entry.open[trial] = None
+                entry.open[trial] = entry.seen
                 entry.open.move_to_end(trial)
             while len(entry.open) > _MOST_OPEN:
                 entry.open.popitem(last=False)
@@ -69,19 +82,22 @@ class Workers:
         """A worker reported trials; a late report is as good as any."""
         with self._lock:
             entry = self._entry(task, worker)
-            entry.last_seen = time.time()
+            entry.see()
             for trial in trials:
                 entry.open.pop(trial, None)
 
     def status(self, task: str) -> list[dict[str, Any]]:
         """The task's workers as `status` lists them."""
         with self._lock:
+            now = time.monotonic()
             return [
                 {
                     "id": worker,
-                    "state": "alive" if entry.alive else "lost" if entry.announced else "unannounced",
+                    "state": entry.state,
                     "open_trials": len(entry.open),
+                    "oldest_open_s": now - next(iter(entry.open.values())) if entry.open else None,
                     "last_seen": entry.last_seen,
+                    "last_seen_s": now - entry.seen,
                 }
                 for (owner, worker), entry in sorted(self._known.items(), key=lambda item: item[0])
                 if owner == task
@@ -100,9 +116,24 @@ class Workers:
                 sample = tokens.recv()
             except zenoh.ZError:  # the session is closed
                 return
-            *_, task, _, _, worker = str(sample.key_expr).split("/")
-            alive = sample.kind == zenoh.SampleKind.PUT
-            with self._lock:
-                entry = self._entry(task, worker)
-                entry.alive, entry.announced, entry.last_seen = alive, True, time.time()
-            logger.info("worker %s of task %s is %s", worker, task, "alive" if alive else "gone")
+            *_, task, _, what, worker = str(sample.key_expr).split("/")
+            stands = sample.kind == zenoh.SampleKind.PUT
+            if what == _LEFT:
+                self._leave(task, worker, stands)
+            elif what == _WORKER:
+                self._appear(task, worker, stands)
+
+    def _leave(self, task: str, worker: str, stands: bool) -> None:
+        with self._lock:
+            entry = self._known.get((task, worker))
+            if entry is not None and stands:
+                entry.left = True
+
+    def _appear(self, task: str, worker: str, stands: bool) -> None:
+        with self._lock:
+            entry = self._entry(task, worker)
+            entry.see()
+            entry.alive, entry.announced = stands, True
+            entry.left = entry.left and not stands
+            state = entry.state
+        logger.info("worker %s of task %s is %s", worker, task, state)

@@ -92,11 +92,21 @@ def _show_workers(workers: Sequence[Mapping[str, Any]]) -> None:
     rows = [
         (
             *(_text(worker.get(column, "")) for column in columns),
-            f"{_duration(time.time() - float(worker['last_seen']))} ago" if "last_seen" in worker else "",
+            _age(worker.get("oldest_open_s")),
+            _age(worker["last_seen_s"] if "last_seen_s" in worker else _since(worker.get("last_seen"))),
         )
         for worker in workers
     ]
-    print_table(("worker", "state", "open trials", "last seen"), rows)
+    print_table(("worker", "state", "open trials", "oldest since", "last seen"), rows)
+
+
+def _since(moment: float | None) -> float | None:
+    """By this machine's time of day: for a server that tells no ages."""
+    return None if moment is None else time.time() - float(moment)
+
+
+def _age(seconds: float | None) -> str:
+    return "" if seconds is None else f"{_duration(float(seconds))} ago"
 
 
 def _rows(name: str, value: Any) -> list[tuple[str, str]]:

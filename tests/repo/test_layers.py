@@ -28,7 +28,7 @@ def _layer(parts: str, packages: str) -> Layer:
 LAYERS = {
     "protocol": _layer("", "numpy msgpack"),
     "learner": _layer("protocol", "numpy scipy"),
-    "client": _layer("protocol", "numpy zenoh typer rich"),
+    "client": _layer("protocol", "numpy zenoh typer rich pyarrow"),
     "server": _layer("protocol learner", "numpy zenoh typer rich prometheus_client"),
     "sim_worker": _layer("protocol client", "numpy scipy mujoco pinocchio coal clarabel matplotlib PIL av typer rich"),
     "dashboard": _layer("protocol client", "numpy rerun typer rich"),
@@ -45,7 +45,7 @@ IMPURE = frozenset({"asyncio", "concurrent", "io", "multiprocessing", "os", "pat
 # Unpickling runs whatever it is sent.
 UNSAFE = frozenset({"marshal", "pickle", "shelve"})
 # Bindings without type information are wrapped, each in one module.
-WRAPPED = ("clarabel", "coal")
+WRAPPED = ("clarabel", "coal", "pyarrow")
 
 
 def imported_modules(source: str, package: str) -> Iterator[tuple[int, str]]:

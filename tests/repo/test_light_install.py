@@ -69,6 +69,7 @@ def test_the_client_and_the_command_work_without_the_extras() -> None:
         ("bench report", "", "server"),
         ("bench sim", "", "experiments"),
         ("experiment learning", "", "experiments"),
+        ("export", "throw throw.parquet", "export"),
         ("plot policy", "throw --vary x", "sim"),
         ("server", "--metrics 9464", "server"),
     ],

@@ -1,0 +1,48 @@
+"""`crkr import`."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from crkr.client import Client
+from crkr.client.commands.counting import counting
+from crkr.client.console import print_json, stdout
+from crkr.client.options import Connect, Json, Timeout, ZenohConfig
+
+__all__ = ["import_"]
+
+
+def import_(
+    task: Annotated[str, typer.Argument(help="Name of the task, which must exist.")],
+    file: Annotated[
+        Path, typer.Argument(exists=True, dir_okay=False, help="A .parquet, .csv or .npz of `crkr export`.")
+    ],
+    connect: Connect = None,
+    timeout: Timeout = 60.0,
+    zenoh_config: ZenohConfig = None,
+    as_json: Json = False,
+) -> None:
+    """Report the trials of a file, under the ids that they have there; doing it again stores nothing twice.
+
+    Example: crkr create throw.toml; crkr import throw throw.parquet
+
+    A file that something else wrote needs the columns id, kind, success, cost, state.NAME and goal.NAME.
+    """
+    from crkr.client.trial_files import Layout, check_kind, reading
+    from crkr.client.trial_files.importing import import_rows
+
+    check_kind(file)
+    with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
+        handle = client.task(task)
+        source = reading(file, Layout(handle.spec))
+        with counting(f"importing {file.name}", source.count) as show:
+            done = import_rows(handle, source.rows, timeout, show)
+    if as_json:
+        print_json({"task": task, "file": str(file), "trials": source.count, **asdict(done)})
+    else:
+        removed = f", {done.removed} taken out of learning" if done.removed else ""
+        stdout.print(f"{task}: {done.accepted} trials stored, {done.duplicates} known already{removed}")

@@ -1,0 +1,8 @@
+"""Trials in files for other programs: Parquet, CSV and NumPy's npz, with the same columns."""
+
+from __future__ import annotations
+
+__all__ = ["FileRow", "Layout", "Sink", "Source", "check_kind", "reading", "writing"]
+
+from crkr.client.trial_files.files import Sink, Source, check_kind, reading, writing
+from crkr.client.trial_files.layout import FileRow, Layout

@@ -1,0 +1,59 @@
+"""A trial's `info` as JSON that comes back the same, though msgpack knows more than JSON does.
+
+What JSON has no word for (bytes, numbers that are not finite) stands as {"$msgpack": base64 of its msgpack}.
+"""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import json
+import math
+from collections.abc import Mapping
+from typing import Any, Final
+
+from crkr.protocol import Invalid, pack, unpack
+
+__all__ = ["info_from_json", "info_to_json"]
+
+_ODD: Final = "$msgpack"
+
+
+def info_to_json(info: Mapping[str, Any]) -> str:
+    """One line of JSON."""
+    return json.dumps({key: _plain(value) for key, value in info.items()}, ensure_ascii=False, allow_nan=False)
+
+
+def info_from_json(text: str) -> dict[str, Any]:
+    """Reads what `info_to_json` made, or any JSON object.
+
+    Raises:
+        Invalid: Not JSON, no object, or base64 that is none.
+    """
+    try:
+        value = json.loads(text)
+        if isinstance(value, dict):
+            return {key: _restored(entry) for key, entry in value.items()}
+    except (ValueError, RecursionError, binascii.Error) as error:
+        raise Invalid(f"info must be JSON: {error}") from error
+    raise Invalid(f"info must be a JSON object; got {text:.80}")
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping) and _ODD not in value and all(isinstance(key, str) for key in value):
+        return {key: _plain(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(entry) for entry in value]
+    if value is None or isinstance(value, bool | int | str) or (isinstance(value, float) and math.isfinite(value)):
+        return value
+    return {_ODD: base64.b64encode(pack({_ODD: value})).decode()}
+
+
+def _restored(value: Any) -> Any:
+    if isinstance(value, list):
+        return [_restored(entry) for entry in value]
+    if not isinstance(value, dict):
+        return value
+    if value.keys() == {_ODD} and isinstance(value[_ODD], str):
+        return unpack(base64.b64decode(value[_ODD], validate=True)).get(_ODD)
+    return {key: _restored(entry) for key, entry in value.items()}

@@ -1,3 +1,4 @@
+import mujoco
 import numpy as np
 import pytest
 
@@ -5,6 +6,7 @@ from crkr.sim_worker.table_tennis.arm import Arm
 from crkr.sim_worker.table_tennis.collision import CollisionCheck
 from crkr.sim_worker.table_tennis.constants import PADDLE_HALF_THICKNESS, PADDLE_RADIUS, TABLE_HEIGHT
 from crkr.sim_worker.table_tennis.planner import HOME, POSTURE
+from crkr.sim_worker.table_tennis.simulation import Simulation
 
 NORMAL = np.array([1.0, 0.0, 0.0])
 
@@ -37,3 +39,53 @@ def test_beside_the_table_the_paddle_may_be_low(check: CollisionCheck, arm: Arm)
 def test_the_first_sample_that_collides_is_named(check: CollisionCheck, arm: Arm) -> None:
     low = arm.reach(np.array([-1.3, 0.0, TABLE_HEIGHT]), NORMAL, POSTURE)
     assert check.first(np.array([HOME, POSTURE, low, HOME, low])) == 2
+
+
+CHAIN = ("base", "shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
+
+
+def _nearest(simulation: Simulation, data: mujoco.MjData) -> float:
+    """MuJoCo's smallest distance [m] between shapes of links that are no neighbours, and to pedestal, table and net."""
+    model = simulation.model
+    links = {index: CHAIN.index(model.body(int(body)).name) for index, body in _arms(simulation)}
+    still = [model.geom(name).id for name in ("table", "net")]
+    gaps = [1.0]
+    for one, place in links.items():
+        others = [other for other, there in links.items() if there >= place + 2]
+        if place >= 3:  # upper arm and shoulder are not checked against the table
+            others += still
+        gaps += [mujoco.mj_geomDistance(model, data, one, other, 1.0, None) for other in others]
+    return min(gaps)
+
+
+def _arms(simulation: Simulation) -> list[tuple[int, int]]:
+    """Shapes of the arm with their bodies; the pedestal, which stands in the world, belongs to the base."""
+    model, base = simulation.model, simulation.model.body("base").id
+    shapes = [(index, int(model.geom_bodyid[index])) for index in range(model.ngeom)]
+    arm = [(index, body) for index, body in shapes if model.body(body).name in CHAIN]
+    return [*arm, (int(model.geom("pedestal").id), int(base))]
+
+
+def test_a_cautious_check_finds_what_mujoco_finds_too_near(arm: Arm, simulation: Simulation) -> None:
+    check, model = CollisionCheck(arm, itself=True), simulation.model
+    data, rng, verdicts = mujoco.MjData(model), np.random.default_rng(0), []
+    for _ in range(300):
+        joints = rng.uniform(-np.pi, np.pi, 6)
+        data.qpos[:6] = joints
+        mujoco.mj_kinematics(model, data)
+        nearest = _nearest(simulation, data)
+        if abs(nearest - 0.01) > 1e-3:  # the two libraries' distances differ by some tenths of a millimetre
+            verdicts.append(nearest < 0.01)
+            assert (check.first(joints[None]) == 0) == verdicts[-1]
+    assert 0.2 < np.mean(verdicts) < 0.8
+
+
+def test_only_a_cautious_check_sees_the_hand_fold_into_the_arm(arm: Arm, check: CollisionCheck) -> None:
+    folded = HOME + np.array([0.0, -1.2, 1.3, 1.5, 0.0, 0.0])
+    cautious = CollisionCheck(arm, itself=True)
+    way = HOME + np.linspace(0, 1, 91)[:, None] * (folded - HOME)
+    assert check.first(way) is None
+    row = cautious.first(way)
+    assert row is not None
+    assert row > 0
+    assert row % 2 == 0

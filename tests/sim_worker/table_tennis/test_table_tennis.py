@@ -5,7 +5,7 @@ import pytest
 
 from crkr.protocol import Invalid, TaskSpec
 from crkr.sim_worker.skill import Skill, SkillOptions
-from crkr.sim_worker.table_tennis import TableTennis, make
+from crkr.sim_worker.table_tennis import TableTennis, make, make_cautious
 from crkr.sim_worker.table_tennis.launchers import LAUNCHERS
 from crkr.sim_worker.table_tennis.oracle import oracle
 
@@ -131,6 +131,26 @@ def test_a_swing_through_the_table_is_a_collision(played: tuple[TableTennis, np.
     low = goal.copy()
     low[1] += 0.5
     _refused(skill, low, "collision")
+
+
+def test_a_swing_into_the_arm_itself_is_a_collision_for_the_cautious_only(
+    played: tuple[TableTennis, np.ndarray, np.ndarray],
+) -> None:
+    _, ball, goal = played
+    options, rng = SkillOptions(environment="analytic"), np.random.default_rng(0)
+    bold, cautious = TableTennis(options, traces=False), make_cautious(options)
+    assert isinstance(cautious, TableTennis)
+    good = cautious.attempt(ball, goal)
+    assert good.cost == bold.attempt(ball, goal).cost
+    wild = (goal + rng.normal(size=13) * ([0.3] * 6 + [0.5] * 6 + [0.01]) for _ in range(3000))
+    refused = (bent for bent in wild if _differ(bold, cautious, ball, bent))
+    found = cautious.attempt(ball, next(refused))
+    assert (found.executed, found.info["reason"]) == (False, "collision")
+    assert "itself" in found.info["detail"]
+
+
+def _differ(bold: TableTennis, cautious: TableTennis, ball: np.ndarray, goal: np.ndarray) -> bool:
+    return bold.attempt(ball, goal).executed and not cautious.attempt(ball, goal).executed
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, 100.0])

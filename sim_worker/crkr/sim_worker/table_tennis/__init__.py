@@ -5,7 +5,7 @@ from __future__ import annotations
 from crkr.sim_worker.skill import Skill, SkillOptions
 from crkr.sim_worker.table_tennis.table_tennis import TableTennis
 
-__all__ = ["TableTennis", "make", "make_lifted", "make_profiled"]
+__all__ = ["TableTennis", "make", "make_cautious", "make_lifted", "make_profiled"]
 
 
 def make(options: SkillOptions) -> Skill:
@@ -16,6 +16,11 @@ def make(options: SkillOptions) -> Skill:
 def make_profiled(options: SkillOptions) -> Skill:
     """The skill with swings that follow a recorded demonstration; to be named as package.module:factory."""
     return TableTennis(options, profiled=True)
+
+
+def make_cautious(options: SkillOptions) -> Skill:
+    """The skill with swings refused in which the arm would touch itself; to be named as package.module:factory."""
+    return TableTennis(options, cautious=True)
 
 
 def make_lifted(options: SkillOptions) -> Skill:

@@ -50,13 +50,20 @@ class TableTennis:
         profiled: Swings follow the acceleration profile of a recorded demonstration with a wind-up rather than the
             smallest accelerations that reach the goal.
         magnus: Spin lifts the ball.
+        cautious: Swings in which the arm would touch itself are collisions too.
 
     Raises:
         Invalid: An option of another name.
     """
 
     def __init__(
-        self, options: SkillOptions, *, traces: bool = True, profiled: bool = False, magnus: bool = False
+        self,
+        options: SkillOptions,
+        *,
+        traces: bool = True,
+        profiled: bool = False,
+        magnus: bool = False,
+        cautious: bool = False,
     ) -> None:
         self._name = _choice("environment", options.environment or "contact", ENVIRONMENTS)
         self._launcher: Launcher = LAUNCHERS[_choice("launcher", options.launcher or "nominal", LAUNCHERS)]
@@ -69,7 +76,8 @@ class TableTennis:
         self._magnus = magnus
         self._simulation = Simulation(magnus=magnus)
         self._environment = make_environment(self._name, self._arm, self._simulation)
-        self._collision = CollisionCheck(self._arm)
+        self._collision = CollisionCheck(self._arm, itself=cautious)
+        self._in_reach = "the table, the net or itself" if cautious else "the table or the net"
         self._primitive = Primitive(JointLimits(self._arm.lower, self._arm.upper, SPEED_LIMITS, ACCELERATION_LIMITS))
         self._planner: Planner | None = None
         self._traces = traces
@@ -191,7 +199,7 @@ class TableTennis:
         except Infeasible as error:
             raise _Refused("infeasible", error.message) from error
         if (row := self._collision.first(_between(swing))) is not None:
-            raise _Refused("collision", f"the arm would touch the table or the net at sample {row} of the swing")
+            raise _Refused("collision", f"the arm would touch {self._in_reach} at sample {row} of the swing")
         try:
             return swing, self._environment.play(ball, swing, hit_time)
         except Diverged as error:

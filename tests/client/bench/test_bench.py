@@ -26,6 +26,15 @@ def test_an_echo_answers_every_question_with_as_many_bytes() -> None:
         assert bare.rate([b"x"] * 200, 64) > 0
 
 
+def test_the_bare_arithmetic_answers_a_question_of_the_task_in_the_size_of_an_answer() -> None:
+    with echoing(500, 40) as endpoint, Bare(endpoint, KEY) as bare:
+        answers = {bare.ask(workload.predict_payload()), bare.ask(workload.predict_payload())}
+    assert [len(one) for one in answers] == [500]
+    sigmas = np.frombuffer(answers.pop()[:208])[13:]
+    assert (sigmas == sigmas[0]).all()
+    assert 0 < sigmas[0] <= 1
+
+
 def test_a_load_reports_what_the_server_stores_and_only_while_it_is_told_to(tmp_path: Path) -> None:
     with serving(tmp_path / "data") as client:
         task = client.create_task(workload.bench_spec())

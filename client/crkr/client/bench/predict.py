@@ -56,19 +56,22 @@ def _all(directory: Path) -> Iterator[Figure]:
         workload.fill(task, _SAMPLES)
         payload = workload.predict_payload()
         bare = stack.enter_context(Bare(client.endpoint, workload.key("predict")))
-        echo = stack.enter_context(Bare(stack.enter_context(echoing(len(bare.ask(payload)))), KEY))
-        yield from _alone(task, bare, echo, payload)
+        size = len(bare.ask(payload))
+        echo = stack.enter_context(Bare(stack.enter_context(echoing(size)), KEY))
+        least = stack.enter_context(Bare(stack.enter_context(echoing(size, workload.BUDGET)), KEY))
+        yield from _alone(task, bare, echo, least, payload)
         yield _in_flight(bare, echo, payload)
         yield _thousand(task)
         yield from _beside_reports(stack, client, task, echo, payload)
         yield _beside_flood(stack, client, task)
 
 
-def _alone(task: Task, bare: Bare, echo: Bare, payload: bytes) -> Iterator[Figure]:
+def _alone(task: Task, bare: Bare, echo: Bare, least: Bare, payload: bytes) -> Iterator[Figure]:
     state = workload.states(1)[0]
     calls = {
         "predict": lambda: task.predict(state),
         "wire": lambda: bare.ask(payload),
+        "least": lambda: least.ask(payload),
         "echo": lambda: echo.ask(payload),
     }
     times = {name: p50(found) for name, found in in_turns(calls, 20, 150).items()}
@@ -76,6 +79,8 @@ def _alone(task: Task, bare: Bare, echo: Bare, payload: bytes) -> Iterator[Figur
     yield Figure("Task.predict p50 / echo p50, one in flight", times["predict"] / times["echo"], 1.15, False, behind)
     behind = {"wire us": times["wire"], "echo us": times["echo"]}
     yield Figure("  the same bytes asked by bare Zenoh / echo", times["wire"] / times["echo"], None, False, behind)
+    behind = {"least us": times["least"], "echo us": times["echo"]}
+    yield Figure("  the bare arithmetic behind bare Zenoh / echo", times["least"] / times["echo"], None, False, behind)
 
 
 def _in_flight(bare: Bare, echo: Bare, payload: bytes) -> Figure:

@@ -100,10 +100,10 @@ def _last_words(status: int, words: IO[bytes]) -> str:
 
 
 @contextmanager
-def echoing(reply_bytes: int) -> Iterator[str]:
-    """A bare echo; its endpoint."""
+def echoing(reply_bytes: int, samples: int = 0) -> Iterator[str]:
+    """A bare echo, or with `samples` the bare arithmetic of a model with so many; its endpoint."""
     endpoint = _free_endpoint()
-    with _child("crkr.client.bench.echo", endpoint, str(reply_bytes)):
+    with _child("crkr.client.bench.echo", endpoint, str(reply_bytes), f"--samples={samples}"):
         yield endpoint
 
 

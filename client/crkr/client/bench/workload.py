@@ -10,7 +10,18 @@ import numpy as np
 from crkr.client.task import Task
 from crkr.protocol import Array, TaskSpec, Trial, pack, task_key
 
-__all__ = ["TASK", "D", "bench_spec", "explain_payload", "fill", "key", "predict_payload", "report_payload", "states"]
+__all__ = [
+    "BUDGET",
+    "TASK",
+    "D",
+    "bench_spec",
+    "explain_payload",
+    "fill",
+    "key",
+    "predict_payload",
+    "report_payload",
+    "states",
+]
 
 D: Final = 6
 P: Final = 13

@@ -298,13 +298,14 @@ HOSTILE: dict[str, Callable[[np.random.Generator], Array]] = {
     "one entry never seen": lambda rng: np.stack([rng.normal(size=80), np.full(80, np.nan)], axis=1),
     "never seen": lambda _: np.full((80, 2), np.nan),
     "constant": lambda _: np.tile([0.3, 0.7], (80, 1)),
+    "the same twice": lambda rng: np.repeat(rng.choice([-1e3, 1e3, 0.0], (80, 1)), 2, axis=1) + TARGET,
     "on target": lambda _: np.tile(TARGET, (80, 1)),
 }
 
 
 @pytest.mark.parametrize("tolerance", [1e-300, TOLERANCE, 1e300])
 @pytest.mark.parametrize("outcomes", HOSTILE)
-@pytest.mark.parametrize("goals", ["one", "several", "at the bounds"])
+@pytest.mark.parametrize("goals", ["one", "several", "at the bounds", "hardly different"])
 def test_no_outcome_makes_a_goal_that_is_not_a_number_within_the_bounds(
     guided: Callable[..., TaskSpec], outcomes: str, goals: str, tolerance: float
 ) -> None:
@@ -314,9 +315,11 @@ def test_no_outcome_makes_a_goal_that_is_not_a_number_within_the_bounds(
         "one": np.zeros((80, P)),
         "several": rng.uniform(-1, 1, (80, P)),
         "at the bounds": rng.choice([-1.0, 1.0], (80, P)),
+        "hardly different": rng.uniform(-1, 1, (80, P)) * 1e-148,
     }
     learner.report(
-        state=rng.uniform(-2, 2, (80, D)) * rng.choice([0.0, 1.0, 1e150], (80, 1)),
+        state=rng.uniform(-2, 2, (80, D))
+        * (rng.choice([0.0, 1.0, 1e150], (80, 1)) if goals != "hardly different" else 0),
         goal=executed[goals],
         cost=rng.uniform(size=80),
         success=True,

@@ -12,7 +12,6 @@ draws.py) the next one chooses its temperature, the next q are for the first att
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final, final
@@ -29,8 +28,6 @@ from crkr.learner.outcome_scales import GOAL_SHARE, OutcomeScales
 from crkr.protocol import Array, Exploration, TaskSpec
 
 __all__ = ["OutcomeExplorer"]
-
-_log = logging.getLogger(__name__)
 
 _ATTEMPTS: Final = 32
 
@@ -73,19 +70,17 @@ class OutcomeExplorer:
         plain = self.plain.best(states, means, sigmas)
         if not self.groups:
             return plain
-        with np.errstate(over="ignore", invalid="ignore"):
-            if means.ndim == 1:
-                return self._best(states, plain.goals, sigmas)
-            return _stacked([self._best(*row) for row in zip(states, plain.goals, sigmas, strict=True)])
+        if means.ndim == 1:
+            return self._best(states, plain.goals, sigmas)
+        return _stacked([self._best(*row) for row in zip(states, plain.goals, sigmas, strict=True)])
 
     def draw(self, states: Array, means: Array, sigmas: Array, ids: Sequence[UUID]) -> Choice:
         """Draws from N(g, temperature^2 P'), the conditioned prior; the trial id decides the temperature too."""
         if not self.groups:
             return self.plain.draw(states, means, sigmas, ids)
-        with np.errstate(over="ignore", invalid="ignore"):
-            if means.ndim == 1:
-                return self._draw(states, means, sigmas, ids[0])
-            return _stacked([self._draw(*row) for row in zip(states, means, sigmas, ids, strict=True)])
+        if means.ndim == 1:
+            return self._draw(states, means, sigmas, ids[0])
+        return _stacked([self._draw(*row) for row in zip(states, means, sigmas, ids, strict=True)])
 
     def _best(self, state: Array, plain: Array, sigma: Array) -> Choice:
         z, mean = self.scales.metric.standardise(state), self.scales.scaled(plain)
@@ -93,16 +88,12 @@ class OutcomeExplorer:
         if line.worst <= self.settings.gate:
             return self._choice(plain, mean, line, corrected=False)
         posterior, line = self._conditioned(z, mean, sigma, line)
-        if not np.isfinite(posterior.g).all():
-            return self._overflown(Choice(plain))
         return self._choice(self._goal(posterior.g), posterior.g, line, corrected=True)
 
     def _draw(self, state: Array, mean: Array, sigma: Array, trial_id: UUID) -> Choice:
         z, centre = self.scales.metric.standardise(state), self.scales.scaled(mean)
         posterior, line = self._conditioned(z, centre, sigma, self._line(z, centre))
         drawn = self._drawn(posterior, line, trial_id)
-        if not np.isfinite(drawn).all():
-            return self._overflown(self.plain.draw(state, mean, sigma, [trial_id]))
         return self._choice(self._goal(drawn), drawn, line, corrected=False)
 
     def _line(self, z: Array, goal: Array) -> OutcomeLine:
@@ -112,7 +103,7 @@ class OutcomeExplorer:
     def _conditioned(self, z: Array, mean: Array, sigma: Array, line: OutcomeLine) -> tuple[Posterior, OutcomeLine]:
         """The posterior, its mean within the bounds, and the line it was made with; `line` touches at the mean."""
         own = self.scales
-        spread = np.minimum(self.settings.trust * sigma / own.scales, own.high - own.low)
+        spread = np.minimum(self.settings.trust * (sigma / own.scales), own.high - own.low)
         posterior = self._bounded(mean, spread, line)
         for _ in range(1, self.settings.iterations):
             line = self._line(z, posterior.g)
@@ -157,14 +148,10 @@ class OutcomeExplorer:
         o, sd = line.at(own.within(scaled))
         predicted, deviation = np.full((2, len(own.target)), np.nan)
         tolerance = own.tolerance[line.entries]
-        predicted[line.entries] = own.target[line.entries] + tolerance * o
-        deviation[line.entries] = tolerance * sd
+        with np.errstate(over="ignore"):
+            predicted[line.entries] = own.target[line.entries] + tolerance * o
+            deviation[line.entries] = tolerance * sd
         return Choice(goal, np.array(corrected), predicted, deviation)
-
-    def _overflown(self, choice: Choice) -> Choice:
-        _log.warning("outcomes near this state are too far from plausible to reckon with; the plain goal stands in")
-        nothing = np.full((2, len(self.scales.target)), np.nan)
-        return Choice(choice.goals, np.array(False), *nothing)
 
 
 def _stacked(rows: Sequence[Choice]) -> Choice:

@@ -25,6 +25,7 @@ from crkr.protocol import Array
 __all__ = ["RIDGE", "LocalFit", "fit_locally", "nearest"]
 
 RIDGE: Final = 1e-3  # for slopes per h; the weights sum to the number of neighbours that count
+_COINCIDING: Final = 1e-18  # squared distance below which trials tell no slope; it would be beyond all numbers
 _PIVOT: Final = 1e-10  # of the intercept, so that the matrix always factors
 
 
@@ -92,6 +93,8 @@ def fit_locally(
     D = np.subtract(trials.X[rows], x, out=F[:, 1:])
     d2 = np.vecdot(D, D)
     farthest = float(d2.max())
+    if farthest < _COINCIDING:
+        farthest = 0.0
     reach = farthest**0.5
     if reach:
         D /= reach

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import final
+from typing import Final, final
 
 import numpy as np
 from scipy.linalg import lapack
@@ -22,6 +22,8 @@ from crkr.learner.outcome_scales import GOAL_SHARE, OutcomeScales
 from crkr.protocol import Array
 
 __all__ = ["OutcomeLine", "Posterior", "condition", "linearise"]
+
+_ROUNDING: Final = 1e-12  # of the largest variance, so that entries which say the same still factor
 
 
 @final
@@ -114,7 +116,8 @@ def condition(mean: Array, spread: Array, line: OutcomeLine) -> Posterior:
     R += 1.0
     JP = J * (spread * spread)
     S = JP @ J.T
-    S.reshape(-1)[:: len(S) + 1] += R
+    diagonal = S.reshape(-1)[:: len(S) + 1]
+    diagonal += R + _ROUNDING * diagonal.max()
     L, _ = lapack.dpotrf(S.T, lower=1, clean=1, overwrite_a=1)
     gain, _ = lapack.dpotrs(L, JP, lower=1)
     G = gain.T

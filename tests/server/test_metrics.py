@@ -1,5 +1,6 @@
 """What Prometheus scrapes from a real server is what the server says of itself to whoever asks by Zenoh."""
 
+import re
 import signal
 import socket
 import subprocess
@@ -91,7 +92,7 @@ def test_the_numbers_agree_with_what_the_server_answers(
     assert value(found, "crkr_task_model_lag", task="reach") == 0
     assert value(found, "crkr_task_faulty", task="reach") == 0
     states = [worker["state"] for worker in status["workers"]]
-    for state in ("alive", "lost", "unannounced"):
+    for state in ("alive", "left", "lost", "unannounced"):
         assert value(found, "crkr_task_workers", task="reach", state=state) == states.count(state)
     opened = sum(worker["open_trials"] for worker in status["workers"])
     assert value(found, "crkr_task_open_trials", task="reach") == opened == 7
@@ -136,6 +137,15 @@ def test_the_endpoint_ends_with_the_server_and_only_loopback_is_listened_on(
     with pytest.raises(ConnectionRefusedError):
         socket.create_connection(("127.0.0.1", metrics_port))
     assert "Traceback" not in server.log.read_text()
+
+
+def test_the_operators_page_lists_every_metric_and_no_other(
+    start_server: Callable[..., Any], metrics_port: int, connect: Connect, reach: dict[str, Any]
+) -> None:
+    connect(start_server("--metrics", f"127.0.0.1:{metrics_port}").endpoint)("rpc/create_task", reach)
+    names = {re.sub(r"_(bucket|count|sum)$", "", name) for name, _ in scraped(metrics_port)}
+    page = (Path(__file__).parents[2] / "docs" / "operating.md").read_text()
+    assert set(re.findall(r"`(crkr_[a-z_]+)", page)) == {name for name in names if name.startswith("crkr_")}
 
 
 def run(*arguments: str) -> subprocess.CompletedProcess[str]:

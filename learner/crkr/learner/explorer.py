@@ -39,6 +39,11 @@ class Explorer(Protocol):
     What it returns must depend on its arguments and on what it was made from only, row by row.
     """
 
+    @property
+    def searched(self) -> int:
+        """How many stored trials each state is compared with: what an answer costs beyond its regression grows so."""
+        ...
+
     def best(self, states: Array, means: Array, sigmas: Array) -> Choice:
         """Goals to execute where nothing is to be tried out.
 
@@ -73,6 +78,11 @@ class GaussianExplorer:
     def of(cls, spec: TaskSpec) -> GaussianExplorer:
         """That of a task."""
         return cls(spec.seed, *spec.bounds)
+
+    @property
+    def searched(self) -> int:
+        """None."""
+        return 0
 
     def best(self, states: Array, means: Array, sigmas: Array) -> Choice:
         """The means, clipped to the bounds."""

@@ -62,6 +62,11 @@ class OutcomeExplorer:
         enough = tuple(group for group in groups if trials.count(group) >= self.settings.min_trials)
         return replace(self, trials=trials, groups=enough)
 
+    @property
+    def searched(self) -> int:
+        """The observed trials, once they are enough."""
+        return len(self.trials) if self.groups else 0
+
     def best(self, states: Array, means: Array, sigmas: Array) -> Choice:
         """The plain goals where they should do, otherwise the conditioned ones.
 

@@ -34,7 +34,11 @@ class AnalyticEnvironment:
         self._magnus = magnus
 
     def play(self, ball: Floats, swing: JointTrajectory, hit_time: float) -> Play:
-        """Executes `swing` against the ball measured as `ball` (6,) at time 0."""
+        """Executes `swing` against the ball measured as `ball` (6,) at time 0.
+
+        Raises:
+            Diverged: That is no ball's state.
+        """
         times = np.arange(int(np.ceil((hit_time + FOLLOW) / INTERVAL)) + 1, dtype=np.float64) * INTERVAL
         joints, speeds, _ = swing.sample(times)
         faces = [self._arm.paddle(row) for row in joints]

@@ -39,7 +39,7 @@ class HybridEnvironment:
         """Executes `swing` against the ball measured as `ball` (6,) at time 0.
 
         Raises:
-            Diverged: The simulator broke down.
+            Diverged: The simulator broke down, or that is no ball's state.
         """
         step = self._alone.timestep
         times = np.arange(int(np.ceil((hit_time + FOLLOW) / step)) + 1, dtype=np.float64) * step

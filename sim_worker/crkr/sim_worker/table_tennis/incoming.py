@@ -16,11 +16,13 @@ from crkr.sim_worker.table_tennis.constants import (
     TABLE_HEIGHT,
     TABLE_RESTITUTION,
 )
+from crkr.sim_worker.table_tennis.simulation import Diverged
 
 __all__ = ["FreeBall", "Incoming"]
 
 Floats = NDArray[np.float64]
 
+FASTEST: Final = 300.0  # [m/s]; from there on drag is stiffer than the integration's steps can follow
 UP: Final = np.array([0.0, 0.0, 1.0])
 TOUCH_HEIGHT: Final = TABLE_HEIGHT + BALL_RADIUS
 
@@ -36,9 +38,14 @@ class Incoming:
 
     Attributes:
         bounces: Times of its bounces on the table [s].
+
+    Raises:
+        Diverged: A snapshot that is not finite or faster than `FASTEST`.
     """
 
     def __init__(self, snapshot: Floats, duration: float, *, magnus: bool = False) -> None:
+        if not (np.isfinite(snapshot).all() and np.linalg.norm(snapshot[3:]) <= FASTEST):
+            raise Diverged(f"no ball flies like this: position and velocity {snapshot.tolist()}")
         self._magnus = magnus
         time, ball, spin = 0.0, Ball(*snapshot.tolist()), np.zeros(3)
         times, states, spins = [time], [ball], [spin]

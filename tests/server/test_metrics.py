@@ -163,6 +163,13 @@ def test_a_port_that_is_taken_is_told_in_one_line_before_anything_else(free_port
     assert not (tmp_path / "data").exists()
 
 
+def test_an_address_of_another_machine_is_refused_in_one_line(free_port: int, tmp_path: Path) -> None:
+    listen = ["--listen", f"tcp/127.0.0.1:{free_port}", "--data", str(tmp_path / "data")]
+    done = run(*listen, "--metrics", "192.0.2.1:9464")  # reserved for documentation
+    assert done.returncode == 1
+    assert done.stderr == "error: cannot serve metrics on 192.0.2.1:9464: Cannot assign requested address\n"
+
+
 @pytest.mark.parametrize("address", ["here", "127.0.0.1:", "127.0.0.1:70000", ":-1"])
 def test_what_is_no_address_is_wrong_usage(address: str, tmp_path: Path) -> None:
     done = run("--data", str(tmp_path / "data"), "--metrics", address)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import logging
-import os
 import socket
 import socketserver
 import sys
@@ -48,9 +47,7 @@ class MetricsEndpoint:
             self._http = (_Http6 if ":" in host else _Http)((host, port), handler)
         except OSError as error:
             taken = "the port is in use; stop what listens there or choose another"
-            reason = (
-                taken if error.errno == errno.EADDRINUSE else os.strerror(error.errno) if error.errno else str(error)
-            )
+            reason = taken if error.errno == errno.EADDRINUSE else error.strerror or str(error)
             raise Unavailable(f"cannot serve metrics on {_shown(host, port)}: {reason}") from error
         self.address: Final = _shown(host, self._http.server_address[1])
         self._thread = threading.Thread(target=self._http.serve_forever, args=(_POLL_S,), name="metrics", daemon=True)

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from crkr.sim_worker.table_tennis.alone import BallAlone
+from crkr.sim_worker.table_tennis.alone import ArmAlone, BallAlone
 from crkr.sim_worker.table_tennis.ball import Ball, bounce, flight
 from crkr.sim_worker.table_tennis.constants import (
     BALL_RADIUS,
@@ -170,6 +170,21 @@ def test_a_breakdown_is_reported_and_leaves_no_trace(simulation: Simulation) -> 
     with pytest.raises(Diverged, match="broke down"):
         simulation.run(flung, controls)
     assert simulation.run(start, controls).states.tobytes() == before
+
+
+@pytest.mark.parametrize("torque", [np.nan, np.inf, 1e300])
+def test_a_breakdown_of_the_arm_alone_is_reported_and_leaves_no_trace(simulation: Simulation, torque: float) -> None:
+    alone = ArmAlone()
+    controls = np.tile(_hold(simulation), (50, 1))
+    before = alone.run(HOME, controls)
+    broken = controls.copy()
+    broken[20, 2] = torque
+    with pytest.raises(Diverged, match="broke down"):
+        alone.run(HOME, broken)
+    with pytest.raises(Diverged, match="broke down"):
+        alone.run(np.full(6, 1e12), controls)
+    again = alone.run(HOME, controls)
+    assert all(one.tobytes() == other.tobytes() for one, other in zip(before, again, strict=True))
 
 
 def test_a_breakdown_writes_no_file(tmp_path: Path) -> None:

@@ -135,3 +135,9 @@ def test_a_figure_is_judged_by_its_bar(capsys: pytest.CaptureFixture[str]) -> No
     assert "NOT REACHED" in lines[3]
     show(figures, "title", True)
     assert '"reached": false' in capsys.readouterr().out
+
+
+def test_a_log_that_cannot_be_written_is_told(tmp_path: Path) -> None:
+    (tmp_path / "few").write_text("a file where the folder should be")
+    with pytest.raises(Unavailable, match="the log of 1000 trials was not written: its process ended with 1"):
+        list(restart_figures(tmp_path, 10))

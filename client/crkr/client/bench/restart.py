@@ -16,6 +16,7 @@ from crkr.client.bench import workload
 from crkr.client.bench.figures import Figure, p50
 from crkr.client.bench.processes import serving
 from crkr.client.bench.timing import in_turns
+from crkr.protocol import Unavailable
 
 __all__ = ["restart_figures"]
 
@@ -30,7 +31,9 @@ def restart_figures(directory: Path, samples: int) -> Iterator[Figure]:
     few, many = directory / "few", directory / "many"
     for data, count in ((few, _FEW), (many, samples)):
         command = [sys.executable, "-m", "crkr.server.filling", str(data), str(count)]
-        subprocess.run(command, check=True, input=json.dumps(workload.bench_spec().to_dict()), text=True)
+        done = subprocess.run(command, check=False, input=json.dumps(workload.bench_spec().to_dict()), text=True)
+        if done.returncode:
+            raise Unavailable(f"the log of {count} trials was not written: its process ended with {done.returncode}")
         with serving(data):
             pass
     read = min(_bare_read(many) for _ in range(2))

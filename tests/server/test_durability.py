@@ -1,7 +1,6 @@
 """Real servers are killed, stopped, starved and given damaged data: what was acknowledged is there, once."""
 
 import os
-import resource
 import signal
 import socket
 import sqlite3
@@ -175,25 +174,6 @@ def test_a_server_that_cannot_start_says_why_in_one_line_and_leaves(tmp_path: Pa
     assert "99" in line
     assert "newer" in line
     assert "nonsense" in refusal("--data", str(tmp_path / "data"), "--listen", "nonsense")
-
-
-def test_a_full_disk_refuses_reports_while_predictions_go_on(
-    server: Any, connect: Callable[[str], Ask], make_trial: MakeTrial, reach: dict[str, Any]
-) -> None:
-    ask = connect(server.endpoint)
-    ask("rpc/create_task", reach)
-    ask("task/reach/rpc/report", {"trials": [make_trial(0)], "wait": True})
-    pid, unlimited = server.process.pid, resource.RLIM_INFINITY
-    resource.prlimit(pid, resource.RLIMIT_FSIZE, (4096, unlimited))  # writes beyond fail, as on a full disk
-    error = ask("task/reach/rpc/report", {"trials": [make_trial(1)]})["error"]
-    assert error["code"] == "STORAGE"
-    assert ask("rpc/create_task", {**reach, "name": "other"})["error"]["code"] == "STORAGE"
-    assert ask("task/reach/rpc/predict", {"states": [0.5, 0.0]})["active"] == 1
-    assert len(samples(ask)) == 1
-    resource.prlimit(pid, resource.RLIMIT_FSIZE, (unlimited, unlimited))
-    receipt = ask("task/reach/rpc/report", {"trials": [make_trial(1), make_trial(2)], "wait": True})
-    assert (receipt["accepted"], receipt["seqs"]) == (2, [3, 4])
-    assert ask("rpc/create_task", {**reach, "name": "other"})["created"] is True
 
 
 def test_the_server_survives_being_stopped_for_a_while(

@@ -91,7 +91,7 @@ def stored(endpoint: str) -> list[UUID]:
 
 @pytest.mark.parametrize(
     "rounds",
-    [2, pytest.param(20, marks=[pytest.mark.campaign, pytest.mark.timeout(300)])],
+    [2, pytest.param(10, marks=[pytest.mark.campaign, pytest.mark.timeout(300)])],
     ids=["short", "long"],
 )
 def test_killed_clients_leave_their_reports_and_nothing_else(

@@ -172,6 +172,13 @@ def test_a_draw_is_the_first_within_the_bounds_of_documented_numbers(guided: Cal
     assert len(seen) == 3
 
 
+def test_a_draw_that_never_lies_within_is_moved_to_the_bounds(guided: Callable[..., TaskSpec]) -> None:
+    model = taught(guided(temperature=[1e6])).model
+    goals = model.predict(STATES, True, IDS).goals
+    assert (np.abs(goals) == 1.0).all()
+    assert model.predict(STATES, True, IDS).goals.tobytes() == goals.tobytes()
+
+
 def test_before_enough_outcomes_everything_is_as_in_the_paper(make_spec: MakeSpec, guided: Any) -> None:
     plain_spec = make_spec(D, P, outcome=guided().to_dict()["outcome"], exploration={"type": "gaussian"}, seed=5)
     learner, plain = taught(guided(min_trials=51), 50), taught(plain_spec, 50)

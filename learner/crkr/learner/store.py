@@ -1,4 +1,4 @@
-"""Every trial that was ever reported, as columns: some 220 bytes a trial at d = 6, p = 13."""
+"""Every trial that was ever reported, as columns: some 220 bytes a trial at d = 6, p = 13, and 8 an outcome."""
 
 from __future__ import annotations
 

@@ -1,0 +1,30 @@
+"""The page that tells users about outcomes, held to what the code does."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from crkr.learner import Learner
+from crkr.learner.outcome_index import SEARCHED
+from crkr.protocol import TaskSpec
+from crkr.protocol.settings import MOST_TRIALS
+
+PAGE = (Path(__file__).parents[2] / "docs" / "outcomes.md").read_text()
+
+
+def test_the_settings_shown_are_the_defaults() -> None:
+    [block] = re.findall(r"```toml\n(.*?)```", PAGE, re.DOTALL)
+    shown: dict[str, Any] = tomllib.loads(block)
+    axes = {name: [{"name": name, "low": 0, "high": 1}] for name in ("state", "goal")}
+    spelt_out = TaskSpec.from_dict({"name": "t", **axes, **shown}, strict=True)
+    del shown["exploration"]
+    assert TaskSpec.from_dict({"name": "t", **axes, **shown}) == spelt_out
+    Learner(spelt_out)
+
+
+def test_the_number_of_searched_trials_is_the_one_told_and_the_most_that_can_be_asked_for() -> None:
+    assert f"newest {SEARCHED:,} observed trials".replace(",", " ") in PAGE
+    assert SEARCHED == MOST_TRIALS

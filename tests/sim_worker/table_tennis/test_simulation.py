@@ -22,10 +22,13 @@ from crkr.sim_worker.table_tennis.constants import (
 from crkr.sim_worker.table_tennis.planner import HOME
 from crkr.sim_worker.table_tennis.simulation import (
     BALL_POSITION,
+    BALL_ROTATION,
+    BALL_SPIN,
     BALL_VELOCITY,
     Diverged,
     Simulation,
     load_spec,
+    rotated,
 )
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -78,9 +81,9 @@ def test_an_oblique_bounce_departs_from_the_rigid_one_by_a_few_percent(
     assert np.std([pair[0][2] for pair in simulated]) < 0.03 * exact[2] / TABLE_RESTITUTION
 
 
-@pytest.mark.parametrize("tilt", [0.0, 0.3])
+@pytest.mark.parametrize("tilt", [0.0, 0.3, 0.6])
 def test_the_paddle_returns_the_ball_as_a_rigid_plane_would(simulation: Simulation, tilt: float) -> None:
-    """At the paddle's centre, arm held still: mean restitution within 4 %, friction within 15 % of its impulse."""
+    """At the paddle's centre, arm held still: mean restitution within 4 %, friction's impulse within 15 %, spin 20 %."""
     model = simulation.model
     data = mujoco.MjData(model)
     data.qpos[:6] = HOME
@@ -90,18 +93,21 @@ def test_the_paddle_returns_the_ball_as_a_rigid_plane_would(simulation: Simulati
     normal, along = frame[:, 0], frame[:, 2]
     velocity = 5.0 * (-np.cos(tilt) * normal + np.sin(tilt) * along)
     gains = np.tile(_hold(simulation), (40, 1))
-    after = []
+    after, spins = [], []
     for phase in PHASES:
         start = centre + (0.006 + BALL_RADIUS) * normal - velocity * simulation.timestep * (8 + phase)
-        record = simulation.run(simulation.start(HOME, np.concatenate([start, velocity])), gains)
-        after.append(record.states[-1, BALL_VELOCITY] + [0, 0, 9.81 * 0.04])
-    exact, _ = bounce(
+        last = simulation.run(simulation.start(HOME, np.concatenate([start, velocity])), gains).states[-1:]
+        after.append(last[0, BALL_VELOCITY] + [0, 0, 9.81 * 0.04])
+        spins.append(rotated(last[:, BALL_ROTATION], last[:, BALL_SPIN])[0])
+    exact, spin = bounce(
         velocity, np.zeros(3), normal, np.zeros(3),
         restitution=PADDLE_RESTITUTION, friction=PADDLE_FRICTION, radius=BALL_RADIUS,
     )  # fmt: skip
-    mean = np.mean(after, axis=0)
+    mean, spun = np.mean(after, axis=0), np.mean(spins, axis=0)
     assert mean @ normal == pytest.approx(exact @ normal, rel=0.04)
     assert (mean - velocity) @ along == pytest.approx((exact - velocity) @ along, rel=0.15, abs=0.05)
+    # Gravity on the way gives a square ball some spin.
+    assert np.linalg.norm(spun - spin) < max(0.2 * float(np.linalg.norm(spin)), 5.0)
 
 
 def test_drag_in_the_simulation_is_the_drag_of_the_flight_formula(alone: BallAlone) -> None:

@@ -83,7 +83,7 @@ def test_an_oblique_bounce_departs_from_the_rigid_one_by_a_few_percent(
 
 @pytest.mark.parametrize("tilt", [0.0, 0.3, 0.6])
 def test_the_paddle_returns_the_ball_as_a_rigid_plane_would(simulation: Simulation, tilt: float) -> None:
-    """At the paddle's centre, arm held still: mean restitution within 4 %, friction's impulse within 15 %, spin 20 %."""
+    """At the paddle's centre, arm held still: restitution within 4 % on average, friction's impulse 15 %, spin 20 %."""
     model = simulation.model
     data = mujoco.MjData(model)
     data.qpos[:6] = HOME

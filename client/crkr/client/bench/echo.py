@@ -1,8 +1,7 @@
 """The baselines: bare Zenoh queryables, each a process of its own.
 
-One answers every query with the same bytes. The other does what no policy server can leave out: it decodes a state,
-computes a kernel row, a mean and a triangular solve with the bare calls of numpy and scipy, and encodes the numbers.
-They end when their standard input does, so that they never outlive the bench.
+One answers every query with the same bytes, the other with what no policy server can leave out of its work. They end
+when their standard input does, so that they never outlive the bench.
 """
 
 from __future__ import annotations
@@ -15,6 +14,8 @@ from typing import Any
 
 import typer
 import zenoh
+
+from crkr.client.bench.arithmetic import bare_prediction
 
 __all__ = ["KEY", "main"]
 
@@ -30,7 +31,7 @@ def main(endpoint: str, reply_bytes: int, samples: int = 0) -> None:
         samples: Active samples m of the model that is computed for each answer; 0: none is.
     """
     reply = bytes(reply_bytes)
-    compute = _arithmetic(samples, reply) if samples else lambda _: reply
+    compute = bare_prediction(samples, reply) if samples else lambda _: reply
     config = zenoh.Config()
     settings = {
         "mode": "router",
@@ -60,27 +61,6 @@ def _answer(queries: Any, compute: Callable[[bytes], bytes]) -> None:
             return
         with query:
             query.reply(KEY, compute(query.payload.to_bytes()))
-
-
-def _arithmetic(samples: int, reply: bytes) -> Callable[[bytes], bytes]:
-    """A prediction in as few calls as there can be, for m samples with d = 6, p = 13; the answer keeps its size."""
-    import msgpack
-    import numpy as np
-    from scipy.linalg import blas
-    from scipy.spatial.distance import cdist
-
-    rng = np.random.default_rng(0)
-    Z, W = rng.normal(size=(samples, 6)), rng.normal(size=(samples, 13))
-    L = np.asfortranarray(np.linalg.cholesky(np.exp(-0.5 * cdist(Z, Z, "sqeuclidean")) + np.eye(samples)))
-
-    def compute(payload: bytes) -> bytes:
-        z = np.frombuffer(msgpack.unpackb(payload)["states"]["data"])
-        k = np.exp(-0.5 * cdist(z[None], Z, "sqeuclidean")[0])
-        mean, v = k @ W, blas.dtrsv(L, k, lower=1)
-        numbers: bytes = mean.tobytes() + np.sqrt(max(1.0 - v @ v, 0.0) * np.ones(13)).tobytes()
-        return numbers + reply[len(numbers) :]
-
-    return compute
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The floor of a prediction: decode a state, compute, give the numbers back, in as few library calls as there can be."""
+"""The floor of a prediction: decode, compute, and give the numbers back, in as few library calls as there can be."""
 
 from __future__ import annotations
 

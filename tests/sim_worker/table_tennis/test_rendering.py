@@ -50,14 +50,23 @@ def test_a_picture_shows_ball_and_paddle_in_their_colours(
     assert ((red > 0.3) & (red - blue > 0.2) & (np.abs(green - blue) < 0.05)).sum() > 10  # the blade's red
 
 
-def test_a_sequence_shows_six_moments(skill: TableTennis, tmp_path: Path) -> None:
-    render_trial(skill, *planned(skill, 3, 0), tmp_path / "swing.png", width=160, height=90, sequence=True)
+def test_a_sequence_shows_six_moments_each_with_a_caption(
+    skill: TableTennis, simulation: Simulation, tmp_path: Path
+) -> None:
+    state, goal = planned(skill, 3, 0)
+    render_trial(skill, state, goal, tmp_path / "swing.png", width=320, height=180, sequence=True)
     picture = imread(tmp_path / "swing.png")[..., :3]
-    assert picture.shape[:2] == (180, 480)
-    moments = [
-        picture[90 * row : 90 * row + 90, 160 * column : 160 * column + 160] for row in (0, 1) for column in range(3)
-    ]
-    assert all(np.abs(a - b).max() > 0.1 for i, a in enumerate(moments) for b in moments[:i])
+    assert picture.shape[:2] == (360, 960)
+    panels = [picture[180 * r : 180 * r + 180, 320 * c : 320 * c + 320] for r in (0, 1) for c in range(3)]
+    assert all(np.abs(a - b)[30:].max() > 0.1 for i, a in enumerate(panels) for b in panels[:i])
+    assert all(((panel[:24, :160] < 0.3).all(axis=2)).sum() > 20 for panel in panels)
+    moved = skill.film(state, goal, 0.01)
+    assert moved is not None
+    assert moved.hit_time == goal[12]
+    with Artist(simulation, 320, 180) as artist:
+        for panel, time in ((panels[0], 0.0), (panels[3], goal[12]), (panels[5], moved.time[-1])):
+            frame = artist.frame(moved, int(np.abs(moved.time - time).argmin())) / 255
+            assert np.abs(panel - frame)[30:].max() < 0.01
 
 
 @pytest.mark.parametrize(

@@ -20,6 +20,7 @@ __all__ = ["check_output", "planned", "render_trial"]
 
 Floats = NDArray[np.float64]
 
+PICTURE_INTERVAL: Final = 0.01  # between points of the ball's path in a picture [s]
 RATE: Final = 25  # frames a second: a GIF, which counts in hundredths of a second, can keep it
 
 
@@ -78,7 +79,7 @@ def render_trial(
         ModuleNotFoundError: PyAV is not installed, for an .mp4.
     """
     check_output(path, sequence=sequence)
-    motion = skill.film(state, goal, 1 / (RATE * slow))
+    motion = skill.film(state, goal, PICTURE_INTERVAL if path.suffix == ".png" else 1 / (RATE * slow))
     outcome = skill.attempt(state, goal)
     if motion is None:
         raise Invalid(f"nothing to draw, for nothing moved: the goal is refused ({outcome.info['reason']})")

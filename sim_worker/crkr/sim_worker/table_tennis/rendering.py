@@ -115,16 +115,32 @@ def save_picture(artist: Artist, motion: Motion, path: Path) -> None:
     imsave(path, composed.astype(np.uint8))
 
 
-def save_sequence(artist: Artist, motion: Motion, path: Path, columns: int = 3) -> None:
-    """Saves several moments of a motion one beside the other, in two rows, as a .png.
+def save_sequence(artist: Artist, motion: Motion, path: Path) -> None:
+    """Saves six moments one beside the other, numbered and with their times, in two rows, as a .png.
+
+    They are the snapshot, two of the swing, the hit time, one of the return, and the end.
 
     Raises:
         Invalid: Another suffix.
     """
     if path.suffix != ".png":
         raise Invalid(f"a picture is a .png; got {path.name}")
-    from matplotlib.image import imsave
+    from PIL import Image
 
-    rows = np.linspace(0, len(motion.time) - 1, 2 * columns).astype(int).tolist()
-    frames = [artist.frame(motion, row) for row in rows]
-    imsave(path, np.vstack([np.hstack(frames[:columns]), np.hstack(frames[columns:])]))
+    hit, end = motion.hit_time, float(motion.time[-1])
+    moments = (0.0, 0.5 * hit, 0.85 * hit, hit, 0.5 * (hit + end), end)
+    names = {0: ": snapshot", 3: ": hit time"}
+    frames = []
+    for index, moment in enumerate(moments):
+        row = int(np.abs(motion.time - moment).argmin())
+        frames.append(_captioned(artist.frame(motion, row), f"{index + 1}   {moment:.2f} s{names.get(index, '')}"))
+    Image.fromarray(np.vstack([np.hstack(frames[:3]), np.hstack(frames[3:])])).save(path)
+
+
+def _captioned(picture: Picture, text: str) -> Picture:
+    from PIL import Image, ImageDraw, ImageFont
+
+    image = Image.fromarray(picture)
+    size = picture.shape[0] / 16
+    ImageDraw.Draw(image).text((size / 2, size / 2), text, fill=(20, 30, 40), font=ImageFont.load_default(size))
+    return np.asarray(image)

@@ -30,11 +30,13 @@ class Motion:
         time: (n,) [s] from the snapshot.
         joints: (n, 6) joint positions [rad].
         ball: (n, 3) ball positions [m].
+        hit_time: When the goal asked for the hit [s].
     """
 
     time: Floats
     joints: Floats
     ball: Floats
+    hit_time: float
 
 
 def motion(swing: JointTrajectory, play: Play, verdict: Verdict, interval: float = INTERVAL) -> Motion:
@@ -55,7 +57,7 @@ def motion(swing: JointTrajectory, play: Play, verdict: Verdict, interval: float
         time = np.concatenate([time, play.end + later])
         joints = np.concatenate([joints, swing.sample(play.end + later)[0]])
         ball = np.concatenate([ball, flight])
-    return Motion(time, joints, ball)
+    return Motion(time, joints, ball, play.hit_time)
 
 
 def trace(simulation: Simulation, moved: Motion) -> Trace:

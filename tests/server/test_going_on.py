@@ -13,10 +13,7 @@ from pathlib import Path
 from typing import Any
 from uuid import UUID
 
-import msgpack
-import numpy as np
 import pytest
-import zenoh
 
 from crkr.client import Client
 
@@ -109,60 +106,6 @@ def test_clients_go_on_over_a_server_that_is_held_again_and_again(
     start_server: Start, free_port: int, reach: dict[str, Any]
 ) -> None:
     disturbed(start_server, free_port, reach, hold, times=6, spell=100)
-
-
-@pytest.mark.campaign
-@pytest.mark.timeout(600)
-def test_a_hundred_thousand_hostile_messages_leave_no_trace(
-    start_server: Start,
-    connect: Callable[[str], Ask],
-    plain: Callable[[str], zenoh.Session],
-    reach: dict[str, Any],
-    make_trial: MakeTrial,
-) -> None:
-    server = start_server()
-    ask = connect(server.endpoint)
-    ask("rpc/create_task", reach)
-    ask("task/reach/rpc/report", {"trials": [make_trial(0)], "wait": True})
-    session, rng = plain(server.endpoint), np.random.default_rng(1)
-    keys = [f"task/reach/rpc/{verb}" for verb in ("predict", "report", "samples", "explain", "model", "status")]
-    keys += ["rpc/create_task", "rpc/info", "task/reach/admin/recost", "task/reach/admin/remove", "task/x/rpc/predict"]
-    valid = msgpack.packb({"trials": [make_trial(1)], "states": [0.1, 0.2], "ids": [bytes(16)], "name": "reach"})
-
-    def attack(count: int) -> None:
-        for _ in range(count // 50):
-            replies = []
-            for _ in range(50):
-                data = bytearray(valid if rng.random() < 0.5 else rng.bytes(int(rng.integers(1, 300))))
-                data[0] = 0xC1  # never msgpack, whatever follows
-                depth = b"\x91" * int(rng.integers(0, 2000))
-                replies.append(
-                    session.get(
-                        f"crkr/@v1/{keys[rng.integers(len(keys))]}",
-                        zenoh.handlers.FifoChannel(1),
-                        payload=depth + bytes(data),
-                        consolidation=zenoh.ConsolidationMode.NONE,
-                        timeout=10.0,
-                    )
-                )
-            for reply in replies:
-                answer = reply.recv()
-                assert answer.err is not None
-                assert msgpack.unpackb(answer.err.payload.to_bytes())["code"] in ("INVALID", "UNKNOWN_TASK", "BUSY")
-
-    attack(10_000)
-    before = resident(server.process.pid)
-    attack(90_000)
-    assert resident(server.process.pid) - before < 20e6
-    samples = ask("task/reach/rpc/samples")["samples"]
-    assert [sample["id"] for sample in samples] == [make_trial(0)["id"]]
-    assert ask("rpc/info")["tasks"] == ["reach"]
-    assert ask("task/reach/rpc/predict", {"states": [0.1, 0.2]})["active"] == 1
-
-
-def resident(pid: int) -> int:
-    """Memory of a process [bytes]."""
-    return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGESIZE")
 
 
 REPORTER = """

@@ -84,7 +84,7 @@ class Trial:
             id=id_from_wire(id),
             state=finite_array(state, "state", (len(spec.state),)),
             goal=_goal(goal, spec),
-            cost=None if cost is None else number(cost, "cost", low=0.0, high=1.0),
+            cost=None if cost is None else number(cost, "cost", low=0.0, high=1.0) + 0.0,  # stores may lose -0.0
             success=successful,
             kind=checked_kind,
             outcome=_outcome(outcome, spec),

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from crkr.protocol import KINDS, Conflict, StorageError, TaskSpec, Trial
+from crkr.protocol import KINDS, Conflict, StorageError, TaskSpec, Trial, pack
 from crkr.server.log import Event, LoggedTrial, PendingReport, SqliteLog, SqliteReader, Stored
 from crkr.server.restoring import restore, restore_all
 
@@ -119,6 +119,43 @@ def test_any_sequence_of_reports_is_stored_as_a_dictionary_would(
         found += log.append_reports(pending[start:stop])
     assert [one.seqs if isinstance(one, Stored) else None for one in found] == expected
     assert {entry.trial.id.int: (entry.seq, entry.trial.cost) for entry in trials_of(log)} == known
+    log.close()
+
+
+COSTS = st.floats(0.0, 1.0) | st.sampled_from([0.0, -0.0, 1.0, 5e-324])
+PLAIN = st.none() | st.booleans() | st.integers(-(2**63), 2**64 - 1) | st.floats() | st.text(max_size=20) | st.binary()
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    cost=COSTS,
+    changed=COSTS,
+    worker=st.none() | st.text(min_size=1, max_size=40),
+    model_version=st.none() | st.integers(0, 2**62),
+    info=st.dictionaries(st.text(max_size=10), PLAIN | st.lists(PLAIN, max_size=3), max_size=3),
+)
+def test_whatever_was_accepted_is_read_again(
+    tmp_path_factory: pytest.TempPathFactory,
+    cost: float,
+    changed: float,
+    worker: str | None,
+    model_version: int | None,
+    info: dict[str, Any],
+) -> None:
+    directory = tmp_path_factory.mktemp("log")
+    log = SqliteLog(directory)
+    log.create(SPEC)
+    given = trial(1, cost, worker=worker, model_version=model_version, info=info)
+    log.append_reports([PendingReport("reach", (given, trial(2)))])
+    log.append_event("reach", "recost", {"ids": [UUID(int=2)], "costs": [changed]})
+    log.close()
+    log = SqliteLog(directory)
+    restore_all(log.reads, log.path)
+    [read, _] = trials_of(log)
+    assert read.trial.digest() == given.digest()
+    assert (read.trial.worker, read.trial.model_version) == (worker, model_version)
+    assert pack(read.trial.info) == pack(given.info)
+    assert [entry["cost"] for entry in log.reads.page("reach", 0, 5, 10**6)[0]] == [cost, changed]
     log.close()
 
 

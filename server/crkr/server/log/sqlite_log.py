@@ -109,7 +109,7 @@ class SqliteLog:
             self._added += 1
             if kind == "recost":
                 for identity, cost in zip(body["ids"], body["costs"], strict=True):
-                    _mark(connection, key, id_from_wire(identity).bytes, cost=float(cost))
+                    _mark(connection, key, id_from_wire(identity).bytes, cost=cost + 0.0)  # SQLite drops -0.0's sign
             elif kind == "remove":
                 for identity in body["ids"]:
                     _mark(connection, key, id_from_wire(identity).bytes, removed=True)

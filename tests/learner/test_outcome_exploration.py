@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 from uuid import UUID, uuid4
 
@@ -283,6 +284,19 @@ def test_a_model_answers_the_same_after_the_learner_has_moved_on(guided: Callabl
     learner.report(state=STATES, goal=np.zeros((40, P)), cost=np.ones(40), success=False, outcome=np.full((40, 2), 3.0))
     assert model.predict(STATES, True, IDS).goals.tobytes() == before
     assert learner.predict(STATES, True, IDS).goals.tobytes() != before
+
+
+def test_misses_teach_the_same_in_any_order(guided: Callable[..., TaskSpec]) -> None:
+    spec = guided("ab")
+    misses = [replace(one, success=False) for one in tried(spec, 300, hide=0.4)]
+    answers = []
+    for order in (np.arange(300), np.random.default_rng(8).permutation(300)):
+        learner = Learner(spec)
+        learner.report(state=np.zeros(D), goal=np.zeros(P), cost=0.0, success=True, kind="demonstration")
+        learner.apply_trials(range(3, 303), [misses[index] for index in order])
+        answers.append([learner.predict(STATES, explore, IDS).goals for explore in (False, True)])
+    for ours, theirs in zip(*answers, strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-9)
 
 
 def test_a_mirror_without_the_trials_answers_plainly_and_says_so(guided: Callable[..., TaskSpec]) -> None:

@@ -41,7 +41,7 @@ def _landing(_: float, state: np.ndarray) -> float:
 
 
 _landing.terminal = True  # type: ignore[attr-defined]  # how solve_ivp is told
-_landing.direction = -1.0  # type: ignore[attr-defined]
+_landing.direction = -1.0  # type: ignore[attr-defined]  # the same
 
 
 def _integrated(start: np.ndarray, spin: np.ndarray, duration: float) -> tuple[float, np.ndarray]:

@@ -16,7 +16,15 @@ from crkr.server.radii_cache import save_radii
 from crkr.server.restoring import restore
 
 AXIS = {"name": "x", "unit": "m", "low": 0.0, "high": 1.0, "lengthscale": 0.1}
-SPEC = TaskSpec.from_dict({"name": "reach", "state": [AXIS, {**AXIS, "name": "y"}], "goal": [AXIS], "budget": 30})
+SPEC = TaskSpec.from_dict(
+    {
+        "name": "reach",
+        "state": [AXIS, {**AXIS, "name": "y"}],
+        "goal": [AXIS],
+        "outcome": [{"name": "miss", "tolerance": 0.1}],
+        "budget": 30,
+    }
+)
 
 
 def trials(first: int, count: int) -> tuple[Trial, ...]:
@@ -30,6 +38,7 @@ def trials(first: int, count: int) -> tuple[Trial, ...]:
             cost=float(rng.uniform()),
             success=bool(rng.uniform() < 0.8),
             kind="demonstration" if n < 3 else "trial",
+            outcome=rng.normal(size=1),
         )
         for n in range(count)
     )

@@ -145,7 +145,7 @@ def _compare_cache(log: LogReader, name: str, learner: Learner) -> list[str]:
 
 
 def _difference(one: Learner, other: Learner, spec: TaskSpec) -> float:
-    """The largest difference of mean or deviation over the state box, in scales of the goals."""
+    """The largest difference of goal, mean or deviation over the state box, in scales of the goals."""
     rng = np.random.default_rng(0)
     low, high = ([getattr(axis, end) for axis in spec.state] for end in ("low", "high"))
     states = rng.uniform(low, high, (_STATES, len(spec.state)))
@@ -157,5 +157,5 @@ def _difference(one: Learner, other: Learner, spec: TaskSpec) -> float:
         states = np.array(one.model.states)
         answers = [learner.model.predict(states) for learner in (one, other)]
     first, second = answers
-    pairs = [(first.means, second.means), (first.sigmas, second.sigmas)]
+    pairs = [(getattr(first, name), getattr(second, name)) for name in ("goals", "means", "sigmas")]
     return max(float(np.max(np.abs(a - b) / spec.scales)) for a, b in pairs)

@@ -71,7 +71,8 @@ def restore(log: LogReader, name: str) -> ServedTask:
 
 
 def _replay_blocks(task: ServedTask, log: LogReader, upto: int) -> None:
-    for entry in log.blocks(task.name, task.dimensions, len(task.created.goal), upto):
+    measured = len(task.created.outcome) if task.created.exploration.type == "outcome" else 0
+    for entry in log.blocks(task.name, task.dimensions, len(task.created.goal), measured, upto):
         if isinstance(entry, Event):
             task.note(entry)
             apply_entries(task.learner, entry)

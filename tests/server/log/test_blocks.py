@@ -20,7 +20,7 @@ SPEC = TaskSpec.from_dict(
         "state": [AXIS],
         "goal": [AXIS, {**AXIS, "name": "y"}],
         "outcome": [{"name": "miss", "unit": "m", "tolerance": 0.1}],
-        "exploration": {"type": "gaussian"},
+        "exploration": {"type": "outcome", "gate": 0},
         "budget": 40,
     }
 )
@@ -75,7 +75,7 @@ def columns(trials: list[LoggedTrial]) -> list[tuple[object, ...]]:
 def test_blocks_hold_what_reading_gives(database: Path, upto: int) -> None:
     log = SqliteLog(database.parent)
     entries = [entry for entry in log.reads.read("reach") if entry.seq <= upto]
-    blocks = list(log.reads.blocks("reach", 1, 2, upto))
+    blocks = list(log.reads.blocks("reach", 1, 2, 1, upto))
     log.close()
     trials = [entry for entry in entries if isinstance(entry, LoggedTrial)]
     found = [block for block in blocks if isinstance(block, TrialColumns)]
@@ -94,6 +94,9 @@ def test_blocks_hold_what_reading_gives(database: Path, upto: int) -> None:
     assert rows == columns(trials)
     costs = [np.nan if one.trial.cost is None else one.trial.cost for one in trials]
     np.testing.assert_array_equal(np.concatenate([[], *(block.costs for block in found)]), costs)
+    outcomes = [np.full(1, np.nan) if one.trial.outcome is None else one.trial.outcome for one in trials]
+    read = [block.outcomes for block in found if block.outcomes is not None]
+    np.testing.assert_array_equal(np.concatenate([np.empty((0, 1)), *read]), np.reshape(outcomes, (-1, 1)))
     kinds = [KINDS[kind] for block in found for kind in block.kinds]
     assert kinds == [one.trial.kind for one in trials]
     assert [bool(flag) for block in found for flag in block.success] == [one.trial.success for one in trials]
@@ -114,8 +117,12 @@ def test_a_restart_from_kept_radii_and_one_without_give_the_same_task(database: 
     assert second.learner.active_ids == third.learner.active_ids
     assert (second.samples, second.eligible, second.seq) == (third.samples, third.eligible, third.seq)
     state = np.linspace(-1, 1, 7)[:, None]
-    ours, theirs = (task.model.predict(state) for task in (second, third))
-    np.testing.assert_allclose(ours.means, theirs.means, rtol=0, atol=1e-9)
+    for explore in (False, True):
+        ids = [UUID(int=number) for number in range(7)]
+        ours, theirs = (task.model.predict(state, explore, ids) for task in (second, third))
+        np.testing.assert_allclose(ours.means, theirs.means, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(ours.goals, theirs.goals, rtol=0, atol=1e-9)
+        assert ours.policy == theirs.policy == ("explore" if explore else "corrected")
 
 
 @pytest.mark.parametrize(

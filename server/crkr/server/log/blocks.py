@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from crkr.learner import TrialColumns
-from crkr.protocol import KINDS, CrkrError, StorageError
+from crkr.protocol import KINDS, Array, CrkrError, StorageError
 from crkr.server.log.rows import DIGEST_BYTES
 
 __all__ = ["BLOCK_COLUMNS", "columns_of"]
@@ -17,8 +17,14 @@ __all__ = ["BLOCK_COLUMNS", "columns_of"]
 BLOCK_COLUMNS: Final = "seq, id, kind, success, cost, state, goal, outcome, digest"
 
 
-def columns_of(rows: Sequence[tuple[Any, ...]], dimensions: int, outputs: int) -> TrialColumns:
+def columns_of(rows: Sequence[tuple[Any, ...]], dimensions: int, outputs: int, measured: int) -> TrialColumns:
     """Reads rows of `BLOCK_COLUMNS`.
+
+    Args:
+        rows: As the database gives them.
+        dimensions: d.
+        outputs: p.
+        measured: q where outcomes are learned from; 0 leaves them out.
 
     Raises:
         StorageError: The content of one is not what was stored: it does not match its digest.
@@ -44,6 +50,7 @@ def columns_of(rows: Sequence[tuple[Any, ...]], dimensions: int, outputs: int) -
             costs=numbers,
             kinds=np.array(kinds, dtype=np.uint8),
             success=np.array(success, dtype=np.bool_),
+            outcomes=_outcomes(outcomes, measured) if measured else None,
         )
     except StorageError:
         raise
@@ -51,3 +58,8 @@ def columns_of(rows: Sequence[tuple[Any, ...]], dimensions: int, outputs: int) -
         raise StorageError(
             f"trials at log positions {seqs[0]} to {seqs[-1]} are damaged: {error}; restore a backup"
         ) from error
+
+
+def _outcomes(stored: Sequence[bytes | None], measured: int) -> Array:
+    absent = np.full(measured, np.nan).tobytes()
+    return np.frombuffer(b"".join([absent if one is None else one for one in stored]), "<f8").reshape(-1, measured)

@@ -105,7 +105,9 @@ class SqliteReader:
                 yield event
                 event = next(events, None)
 
-    def blocks(self, task: str, dimensions: int, outputs: int, upto: int) -> Iterator[TrialColumns | Event]:
+    def blocks(
+        self, task: str, dimensions: int, outputs: int, measured: int, upto: int
+    ) -> Iterator[TrialColumns | Event]:
         """The entries up to a log position as `read` gives them, neighbouring trials together; many times quicker."""
         with read_errors(f"read the log of task {task!r}"):
             connection, key = self._connection(), self._key(task)
@@ -115,7 +117,7 @@ class SqliteReader:
                 before = upto + 1 if event is None else event.seq
                 cursor = connection.execute(_READ_BLOCKS, (key, expected, before))
                 while rows := cursor.fetchmany(_BLOCK):
-                    block = columns_of(rows, dimensions, outputs)
+                    block = columns_of(rows, dimensions, outputs, measured)
                     gaps = np.flatnonzero(np.diff(block.seqs, prepend=expected) != 1)
                     if len(gaps):
                         _follows(task, int(block.seqs[gaps[0]]), expected + int(gaps[0]))

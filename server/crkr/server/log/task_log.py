@@ -36,7 +36,9 @@ class LogReader(Protocol):
         """All entries past a log position, in order, checked against their digests."""
         ...
 
-    def blocks(self, task: str, dimensions: int, outputs: int, upto: int) -> Iterator[TrialColumns | Event]:
+    def blocks(
+        self, task: str, dimensions: int, outputs: int, measured: int, upto: int
+    ) -> Iterator[TrialColumns | Event]:
         """The entries up to a log position as `read` gives them, neighbouring trials together; many times quicker."""
         ...
 

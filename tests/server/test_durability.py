@@ -1,6 +1,5 @@
 """Real servers are killed, stopped, starved and given damaged data: what was acknowledged is there, once."""
 
-import os
 import signal
 import socket
 import sqlite3
@@ -174,21 +173,6 @@ def test_a_server_that_cannot_start_says_why_in_one_line_and_leaves(tmp_path: Pa
     assert "99" in line
     assert "newer" in line
     assert "nonsense" in refusal("--data", str(tmp_path / "data"), "--listen", "nonsense")
-
-
-def test_the_server_survives_being_stopped_for_a_while(
-    server: Any, connect: Callable[[str], Ask], make_trial: MakeTrial, reach: dict[str, Any]
-) -> None:
-    ask = connect(server.endpoint)
-    ask("rpc/create_task", reach)
-    os.kill(server.process.pid, signal.SIGSTOP)
-    waiting = threading.Thread(target=lambda: ask("task/reach/rpc/report", {"trials": [make_trial(0)], "wait": True}))
-    waiting.start()
-    waiting.join(timeout=0.5)
-    assert waiting.is_alive()
-    os.kill(server.process.pid, signal.SIGCONT)
-    waiting.join(timeout=10)
-    assert [sample["id"] for sample in samples(ask)] == [make_trial(0)["id"]]
 
 
 def test_the_port_is_free_again_at_once(start_server: Start, free_port: int) -> None:

@@ -1,0 +1,154 @@
+"""A link between client and server that is cut and healed: everything arrives, once."""
+
+import json
+import os
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing, contextmanager, suppress
+from pathlib import Path
+from typing import Any, final
+
+import pytest
+
+OUTAGE_S = 4.0  # longer than a lease, so that the partition is noticed
+
+REPORTER = """
+import json, sys
+from uuid import UUID
+from crkr.client import Client
+from crkr.protocol import Trial, Unavailable
+endpoint, spec, count = sys.argv[1], json.loads(sys.argv[2]), int(sys.argv[3])
+with Client(endpoint, timeout_s=60) as client:
+    client.wait_until_ready(20)
+    task = client.create_task(spec)
+    for number in range(1, count + 1):
+        task.report(state=[0.5, 0.5], goal=[0.0] * 3, cost=0.5, success=True, id=UUID(int=number))
+        print(number, flush=True)
+    print(json.dumps([sample.trial.id.int for sample in task.iter_samples()]), flush=True)
+"""
+
+
+@final
+class Cable:
+    """TCP from a port of its own to another; while it is cut, all stays where it is and nobody is told."""
+
+    def __init__(self, port: int) -> None:
+        self._port = port
+        self._whole = threading.Event()
+        self._whole.set()
+        self._ends: list[socket.socket] = []
+        self._threads: list[threading.Thread] = []
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self.endpoint = f"tcp/127.0.0.1:{self._listener.getsockname()[1]}"
+        self._run(self._accept)
+
+    def cut(self, seconds: float) -> None:
+        self._whole.clear()
+        threading.Event().wait(seconds)
+        self._whole.set()
+
+    def close(self) -> None:
+        self._whole.set()
+        for end in (self._listener, *self._ends):
+            with suppress(OSError):
+                end.shutdown(socket.SHUT_RDWR)
+            end.close()
+        for thread in self._threads:
+            thread.join(10)
+
+    def _run(self, work: Callable[..., None], *arguments: Any) -> None:
+        self._threads.append(threading.Thread(target=work, args=arguments))
+        self._threads[-1].start()
+
+    def _accept(self) -> None:
+        with suppress(OSError):
+            while True:
+                near, _ = self._listener.accept()
+                far = socket.create_connection(("127.0.0.1", self._port))
+                self._ends += [near, far]
+                self._run(self._carry, near, far)
+                self._run(self._carry, far, near)
+
+    def _carry(self, source: socket.socket, sink: socket.socket) -> None:
+        with suppress(OSError):
+            while data := source.recv(65536):
+                self._whole.wait()
+                sink.sendall(data)
+        with suppress(OSError):
+            self._whole.wait()
+            sink.shutdown(socket.SHUT_WR)
+
+
+def test_over_a_link_that_is_silent_for_a_while_everything_arrives_once(server: Any, reach: dict[str, Any]) -> None:
+    count = 150
+    with closing(Cable(server.port)) as cable, ExitStack() as stack:
+        script = [sys.executable, "-c", REPORTER, cable.endpoint, json.dumps(reach), str(count)]
+        client = stack.enter_context(subprocess.Popen(script, stdout=subprocess.PIPE, text=True))
+        stack.callback(client.kill)
+        assert client.stdout is not None
+        lines = [client.stdout.readline() for _ in range(50)]
+        cable.cut(2.5)  # longer than a lease
+        lines += client.stdout.readlines()
+        assert client.wait(timeout=10) == 0
+    assert [int(line) for line in lines[:-1]] == list(range(1, count + 1))
+    assert json.loads(lines[-1]) == list(range(1, count + 1))
+
+
+def ip(*arguments: str) -> None:
+    subprocess.run(["ip", *arguments], check=True, capture_output=True, text=True)
+
+
+@contextmanager
+def two_machines() -> Iterator[tuple[str, str]]:
+    """Two network namespaces with a cable between them: 10.77.0.1 in the first, 10.77.0.2 in the second."""
+    one, two = f"crkr-{os.getpid()}-a", f"crkr-{os.getpid()}-b"
+    with ExitStack() as stack:
+        for name in (one, two):
+            ip("netns", "add", name)
+            stack.callback(ip, "netns", "del", name)
+        ip("-n", one, "link", "add", "cable", "type", "veth", "peer", "name", "cable", "netns", two)
+        for name, address in ((one, "10.77.0.1/24"), (two, "10.77.0.2/24")):
+            ip("-n", name, "address", "add", address, "dev", "cable")
+            ip("-n", name, "link", "set", "cable", "up")
+            ip("-n", name, "link", "set", "lo", "up")
+        yield one, two
+
+
+@pytest.mark.campaign
+@pytest.mark.timeout(120)
+def test_over_a_cut_cable_everything_arrives_once(tmp_path: Path, reach: dict[str, Any]) -> None:
+    """Needs the right to make network namespaces."""
+    count = 400
+    with two_machines() as (one, two), ExitStack() as stack:
+        with socket.socket() as probe:
+            probe.bind(("127.0.0.1", 0))
+            endpoint = f"tcp/10.77.0.1:{probe.getsockname()[1]}"
+        python = [sys.executable, "-m", "crkr.client", "server", "--listen", endpoint, "--data", str(tmp_path / "data")]
+        server = stack.enter_context(
+            subprocess.Popen(["ip", "netns", "exec", one, *python], stderr=subprocess.PIPE, text=True)
+        )
+        stack.callback(server.kill)
+        assert server.stderr is not None
+        assert "listening on" in server.stderr.readline()
+        script = [sys.executable, "-c", REPORTER, endpoint, json.dumps(reach), str(count)]
+        client = stack.enter_context(
+            subprocess.Popen(["ip", "netns", "exec", two, *script], stdout=subprocess.PIPE, text=True)
+        )
+        stack.callback(client.kill)
+        assert client.stdout is not None
+        lines = []
+        for end in (one, two):
+            lines += [client.stdout.readline() for _ in range(50)]
+            ip("-n", end, "link", "set", "cable", "down")
+            with pytest.raises(subprocess.TimeoutExpired):
+                client.wait(timeout=OUTAGE_S)
+            ip("-n", end, "link", "set", "cable", "up")
+        lines += client.stdout.readlines()
+        assert client.wait(timeout=10) == 0
+        server.terminate()
+        assert server.wait(timeout=10) == 0
+    assert [int(line) for line in lines[:-1]] == list(range(1, count + 1))
+    assert json.loads(lines[-1]) == list(range(1, count + 1))

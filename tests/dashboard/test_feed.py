@@ -106,6 +106,18 @@ def test_unreadable_publications_are_counted_and_the_first_ones_named(
     assert "worker" in notebook.lines[0]
 
 
+def test_goals_that_were_refused_are_counted_and_told_though_the_log_has_no_such_trial(
+    feed: Feed, notebook: Notebook, message: Message
+) -> None:
+    refused = message(1, kind="failed")
+    del refused["seq"]
+    for _ in range(5):
+        feed.publication("trial", refused)
+    assert (feed.refused, feed.skipped) == (5, 0)
+    assert len(notebook.lines) == 3
+    assert "refused a goal" in notebook.lines[0]
+
+
 def test_notices_of_the_model_are_no_pictures(feed: Feed) -> None:
     feed.publication("model", {"version": 3})
     assert feed.skipped == 0

@@ -35,12 +35,14 @@ class Feed:
     Attributes:
         progress: The run so far.
         skipped: Publications that could not be read.
+        refused: Goals that workers would not try.
         dropped: Pictures that waited too long for their trial.
     """
 
     def __init__(self, view: View) -> None:
         self.progress = Progress()
         self.skipped = 0
+        self.refused = 0
         self.dropped = 0
         self._view = view
         self._rows: OrderedDict[int, Row] = OrderedDict()
@@ -53,6 +55,9 @@ class Feed:
         """Takes one publication; one that cannot be read is counted and skipped."""
         if topic not in ("trial", "evaluation"):
             return
+        if message.get("kind") == "failed" and "seq" not in message:
+            self._note_refusal(message)
+            return
         try:
             self._waiting.append(Telemetry.from_wire(message))
         except Invalid as error:
@@ -63,6 +68,13 @@ class Feed:
         if len(self._waiting) > MAX_WAITING:
             self._waiting.popleft()
             self.dropped += 1
+
+    def _note_refusal(self, message: Mapping[str, Any]) -> None:
+        """A goal that a worker would not try; the log has no such trial."""
+        self.refused += 1
+        if self.refused <= 3 or self.refused % 1000 == 0:
+            worker = str(message.get("worker"))[:128]
+            self._view.say(f"worker {worker} refused a goal that is out of bounds: {self.refused} so far", warning=True)
 
     def news(self, news: News, now: float) -> None:
         """Takes what the server answered; `now` is monotonic [s]."""

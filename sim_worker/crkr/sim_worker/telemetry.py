@@ -10,7 +10,7 @@ from typing import Any, Final, final
 import numpy as np
 
 from crkr.client import Task
-from crkr.protocol import Geom, Invalid, Trace, Trial, geoms_to_wire
+from crkr.protocol import Geom, Invalid, Prediction, Trace, Trial, geoms_to_wire
 
 __all__ = ["Telemetry", "Timing", "thinned"]
 
@@ -83,6 +83,23 @@ class Telemetry:
         if timing is not None:
             message["timing"] = timing.to_wire()
         self._publish("evaluation" if trial.kind == "evaluation" else "trial", message, self._pictures(trace, now))
+
+    def refused(self, answer: Prediction, worker: str) -> None:
+        """Publishes that a goal was not even tried; the log has no such trial, and the message no `seq`."""
+        self._task.publish(
+            "trial",
+            {
+                "id": answer.trial_id,
+                "state": answer.state,
+                "goal": answer.goal,
+                "cost": None,
+                "success": False,
+                "kind": "failed",
+                "worker": worker,
+                "info": {"reason": "invalid"},
+                "time": time.time(),
+            },
+        )
 
     def _pictures(self, trace: Trace | None, now: float) -> dict[str, Any]:
         pictures: dict[str, Any] = {}

@@ -5,18 +5,24 @@ from __future__ import annotations
 import logging
 import time
 from dataclasses import dataclass
-from typing import final
+from functools import partial
+from typing import Final, final
+from uuid import UUID
+
+import numpy as np
 
 from crkr.client import Task
-from crkr.protocol import Conflict, Prediction, Receipt, Trial, training_id
+from crkr.protocol import Conflict, Internal, Prediction, Receipt, Trial, training_id
 from crkr.sim_worker.orders import Orders
 from crkr.sim_worker.randomness import training_rng, unpredictable_seed
-from crkr.sim_worker.skill import Outcome, Skill
+from crkr.sim_worker.skill import Floats, Outcome, Skill
 from crkr.sim_worker.telemetry import Telemetry, Timing
 
 __all__ = ["Identity", "TrialLoop", "tried"]
 
 logger = logging.getLogger(__name__)
+
+_MOST_REFUSED: Final = 10  # goals in a row that no robot may try; the server then is of no use to this one
 
 
 @final
@@ -89,7 +95,8 @@ class TrialLoop:
         """Tries one goal in a new situation; returns when the trial is stored.
 
         Raises:
-            CrkrError: The server refuses, or is away for longer than the patience.
+            CrkrError: The server refuses, is away for longer than the patience, or proposes only goals that are out of
+                bounds or not finite. Such a goal moves nothing and is no trial: telemetry alone tells of it.
             Stopped: The launcher wants this process to end.
         """
         while True:
@@ -106,13 +113,7 @@ class TrialLoop:
 
     def _run_one(self) -> Trial | None:
         """One trial; None where another worker has stored the same one."""
-        self._count += 1
-        trial_id = training_id(self._task.name, self._seed, self._identity.first_seq, self._count)
-        state = self._skill.reset(self._rng)
-        started = time.monotonic()
-        answer = self._orders.insist(
-            lambda: self._task.predict(state, explore=True, trial_ids=[trial_id], worker=self._identity.worker)
-        )
+        answer, started = self._ask()
         predicted = time.monotonic()
         result = self._skill.execute(answer.goal)
         executed = time.monotonic()
@@ -123,6 +124,27 @@ class TrialLoop:
         timing = _timing(started, predicted, executed, time.monotonic())
         self._show(trial, receipt, answer, result, timing)
         return trial
+
+    def _ask(self) -> tuple[Prediction, float]:
+        """The answer in the next situation whose goal may be tried, and when it was asked for."""
+        low, high = self._task.spec.bounds
+        for _ in range(_MOST_REFUSED):
+            self._count += 1
+            trial_id = training_id(self._task.name, self._seed, self._identity.first_seq, self._count)
+            state = self._skill.reset(self._rng)
+            started = time.monotonic()
+            answer = self._orders.insist(partial(self._predict, state, trial_id))
+            if np.all((answer.goal >= low) & (answer.goal <= high)):  # NaN is neither
+                return answer, started
+            self._telemetry.refused(answer, self._identity.worker)
+            logger.warning("refused goal %s: it is out of bounds or not finite", answer.goal.tolist())
+        raise Internal(
+            f"{_MOST_REFUSED} goals in a row are out of the bounds of task {self._task.name!r} or not finite; "
+            "look at the server's version and at the task's specification"
+        )
+
+    def _predict(self, state: Floats, trial_id: UUID) -> Prediction:
+        return self._task.predict(state, explore=True, trial_ids=[trial_id], worker=self._identity.worker)
 
     def _is_mine(self, trial: Trial, receipt: Receipt) -> bool:
         """Whether a duplicate is this worker's own, stored by an attempt whose answer was lost; the log names who."""

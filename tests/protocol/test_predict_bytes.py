@@ -1,5 +1,6 @@
 """The quick ways to write and read predictions agree with the protocol's own codec, byte for byte."""
 
+from dataclasses import replace
 from uuid import UUID
 
 import numpy as np
@@ -38,6 +39,8 @@ def row(whole: Prediction, index: int) -> Prediction:
     arrays = {name: part(getattr(whole, name)) for name in ("states", "goals", "means", "sigmas", "novelty")}
     outcome = {name: part(getattr(whole, name)) for name in ("predicted_outcome", "predicted_outcome_sd")}
     rest = {name: getattr(whole, name) for name in ("model_version", "active", "policy", "compute_us")}
+    if whole.corrected is not None:
+        rest["policy"] = "corrected" if whole.corrected[index] else "mean"
     return Prediction(trial_ids=[whole.trial_ids[index]], **arrays, **outcome, **rest)  # type: ignore[arg-type]  # a row has no None where the whole has none
 
 
@@ -46,6 +49,16 @@ def test_rows_of_a_batch_are_packed_as_single_answers(seed: int, count: int, p: 
     whole = prediction(np.random.default_rng(seed), (count,), p, q)
     ids = [one.bytes for one in whole.trial_ids]
     assert list(packed_rows(whole, ids, whole.compute_us)) == [pack(row(whole, n).to_wire()) for n in range(count)]
+
+
+@given(st.integers(0, 2**32), st.lists(st.booleans(), min_size=1, max_size=5).filter(any))
+def test_each_row_says_whether_its_own_goal_was_corrected(seed: int, flags: list[bool]) -> None:
+    drawn = prediction(np.random.default_rng(seed), (len(flags),), 3, 2)
+    whole = replace(drawn, policy="corrected", corrected=np.array(flags))
+    ids = [one.bytes for one in whole.trial_ids]
+    rows = list(packed_rows(whole, ids, whole.compute_us))
+    assert rows == [pack(row(whole, n).to_wire()) for n in range(len(flags))]
+    assert [unpack(one)["policy"] == "corrected" for one in rows] == flags
 
 
 @given(st.integers(0, 2**32), st.integers(1, 40), st.integers(0, 5))

@@ -123,7 +123,12 @@ def packed_rows(answer: Prediction, ids: Sequence[bytes], compute_us: int) -> It
         ids: b ids of 16 bytes.
         compute_us: Time of the model [us], for all of them.
     """
-    tail = _scalars(answer.model_version, answer.active, answer.policy) + _entry("compute_us", compute_us)
+    last = _entry("compute_us", compute_us)
+    tail = _scalars(answer.model_version, answer.active, answer.policy) + last
+    tails = [tail] * len(ids)
+    if answer.policy == "corrected" and answer.corrected is not None:  # of some goals only
+        uncorrected = _scalars(answer.model_version, answer.active, "mean") + last
+        tails = [tail if one else uncorrected for one in np.ravel(answer.corrected).tolist()]
     columns = [_column(name, getattr(answer, name), len(ids)) for name in _BEFORE]
     modelled = answer.predicted_outcome is not None
     after = _AFTER if modelled else ()
@@ -133,7 +138,7 @@ def packed_rows(answer: Prediction, ids: Sequence[bytes], compute_us: int) -> It
         parts = [start]
         for head, data, width in columns:
             parts += (head, data[row * width : (row + 1) * width])
-        parts += (_ID_HEAD, identity, tail)
+        parts += (_ID_HEAD, identity, tails[row])
         for head, data, width in outcomes:
             parts += (head, data[row * width : (row + 1) * width])
         yield b"".join(parts)

@@ -1,8 +1,9 @@
 """Answers `predict` from the model at hand: what waits together is answered together, and nothing waits to fill up.
 
 How long a prediction takes is known beforehand from the number of states b and of active samples m: the m^2 numbers of
-the factor are read once, and each state costs m^2 operations more. So what asks for much is told from what asks for
-little by work, not by bytes.
+the factor are read once, and each state costs m^2 operations more. Where outcomes guide the goals, each state is
+compared with the observed trials besides. So what asks for much is told from what asks for little by work, not by
+bytes.
 """
 
 from __future__ import annotations
@@ -31,6 +32,8 @@ _AT_ONCE_US: Final = 1000.0  # of work, after which others have their turn
 _STATE_US: Final = 3.0  # the work of a state, apart from the samples
 _SQUARE_US: Final = 30e-6  # for each state and each of m^2
 _PASS_US: Final = 120e-6  # for each of m^2, whatever the number of states
+_GUIDED_US: Final = 300.0  # for each state whose goal outcomes guide
+_TRIAL_US: Final = 0.016  # for each such state and each trial that it is compared with
 _LEAST: Final = 8  # states at a time; with fewer, reading the factor again and again would be most of the work
 _VERSION: Final = 6  # byte of a UUID
 _VARIANT: Final = 8
@@ -62,7 +65,7 @@ class Predictor:
                 break
             try:
                 task, message = self._tasks.get(request.task), request.message()
-                needed = _work_us(_count(message), task.model.active)
+                needed = _work_us(_count(message), task.model)
                 if needed > _AT_ONCE_US and not request.patient:
                     request.patient = True
                     left.append(request)
@@ -74,7 +77,7 @@ class Predictor:
                     continue
                 alike = together[request.task, message.get("explore", False)]
                 if alike:
-                    work -= _work_us(0, task.model.active)  # the factor is read once for all of them
+                    work -= _work_us(0, task.model)  # the factor is read once for all of them
                 alike.append((request, message, state))
             except Exception as error:  # this one's fault alone; it is answered and the others go on
                 request.fail_unexpectedly(error)
@@ -116,9 +119,11 @@ class Predictor:
             self._workers.asked(task.name, question.worker, ids)
 
 
-def _work_us(count: int, active: int) -> float:
+def _work_us(count: int, model: Model) -> float:
     """About how long a prediction takes [us], what every question costs left out."""
-    return _PASS_US * active**2 + count * (_STATE_US + _SQUARE_US * active**2)
+    square, searched = model.active**2, model.explorer.searched
+    guided = _GUIDED_US + _TRIAL_US * searched if searched else 0.0
+    return _PASS_US * square + count * (_STATE_US + _SQUARE_US * square + guided)
 
 
 def _count(message: Mapping[str, Any]) -> int:
@@ -139,8 +144,8 @@ def _single_state(message: Mapping[str, Any], dimensions: int) -> bytes | None:
 
 def _predicted(model: Model, states: Array, explore: bool, ids: Sequence[bytes] | None) -> Prediction:
     """A few states at a time: no other thread of Python runs while the factor is solved for them."""
-    per_state = _work_us(1, model.active) - _work_us(0, model.active)
-    most = max(_LEAST, int((_AT_ONCE_US - _work_us(0, model.active)) / per_state))
+    per_state = _work_us(1, model) - _work_us(0, model)
+    most = max(_LEAST, int((_AT_ONCE_US - _work_us(0, model)) / per_state))
     if states.ndim == 1 or len(states) <= most:
         return model.predict(states, explore, ids)
     starts = range(0, len(states), most)
@@ -162,7 +167,8 @@ def _joined(parts: Sequence[Prediction]) -> Prediction:
         for field in fields(Prediction)
         if isinstance(getattr(first, field.name), np.ndarray)
     }
-    return replace(first, trial_ids=[one for part in parts for one in part.trial_ids], **rows)
+    policy = "corrected" if any(part.policy == "corrected" for part in parts) else first.policy
+    return replace(first, policy=policy, trial_ids=[one for part in parts for one in part.trial_ids], **rows)
 
 
 def _new_id() -> bytes:

@@ -51,9 +51,12 @@ class DueFit:
         logger.warning("fit of task %s failed: %s", self.task, error.message)
 
     def fail_unexpectedly(self, error: Exception) -> None:
-        """Takes note of the failure."""
+        """Takes note of the failure; a defect's traceback is told."""
+        if isinstance(error, CrkrError):
+            self.fail(error)
+            return
         self.answered = True
-        logger.warning("fit of task %s failed", self.task, exc_info=error)
+        logger.error("fit of task %s failed", self.task, exc_info=error)
 
 
 @final

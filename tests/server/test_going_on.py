@@ -35,10 +35,10 @@ def report_until(client: Client, stop: threading.Event, first: int, acknowledged
 def disturbed(
     start_server: Start, port: int, reach: dict[str, Any], disturb: Callable[[Any], Any], times: int, spell: int
 ) -> None:
-    """Two clients report while the server is disturbed again and again, after every `spell` reports of each."""
+    """Three clients report while the server is disturbed again and again, after every `spell` reports of each."""
     server = start_server(port=port)
     stop = threading.Event()
-    acknowledged: list[list[UUID]] = [[], []]
+    acknowledged: list[list[UUID]] = [[], [], []]
     with ExitStack() as stack:
         clients = [stack.enter_context(Client(server.endpoint)) for _ in acknowledged]
         clients[0].create_task(reach)

@@ -84,6 +84,7 @@ def test_a_sound_directory_agrees_also_while_a_server_holds_it(data: Path) -> No
         ("UPDATE trial SET digest = substr(digest, 1, 16), present_cost = 0.5 WHERE seq = 20", "another cost"),
         ("UPDATE trial SET digest = substr(digest, 1, 16), removed = 0", "another cost or mark"),
         ("DELETE FROM trial WHERE seq = 30", "lacks position 30"),
+        ("DELETE FROM trial WHERE seq = (SELECT max(seq) FROM trial)", "were acknowledged: its end is lost"),
     ],
 )
 def test_what_does_not_agree_is_named(data: Path, statement: str, says: str) -> None:

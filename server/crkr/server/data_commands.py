@@ -24,13 +24,17 @@ def replay(
     from crkr.protocol import StorageError
     from crkr.server.log import SqliteReader
     from crkr.server.log.schema import FILE_NAME
+    from crkr.server.log.tally import lost_end, read_tally
     from crkr.server.replaying import verify
 
     errors = Console(stderr=True, soft_wrap=True)
+    acknowledged = read_tally(data)  # before the log, which a server may add to meanwhile
     reader = SqliteReader(data / FILE_NAME)
     try:
         with reader.snapshot(), errors.status("checking the database") as status:
-            damage = reader.integrity()
+            damage, held = reader.integrity(), sum(reader.positions().values())
+            if held < acknowledged:
+                damage.append(lost_end(reader.path, held, acknowledged))
             verdicts = []
             for name in reader.tasks():
                 last = reader.last(name)

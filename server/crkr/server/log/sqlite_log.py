@@ -16,7 +16,7 @@ from crkr.server.log.entries import Event, LoggedTrial, PendingReport, Stored
 from crkr.server.log.rows import DIGEST_BYTES, ROW_COLUMNS, TRIAL_COLUMNS, body_digest, changed_digest, trial_row
 from crkr.server.log.schema import FILE_NAME, open_database, storage_errors
 from crkr.server.log.sqlite_reader import SqliteReader
-from crkr.server.log.tally import TALLY_NAME, Tally, read_tally
+from crkr.server.log.tally import TALLY_NAME, Tally, lost_end, read_tally
 
 __all__ = ["SqliteLog"]
 
@@ -156,11 +156,8 @@ class SqliteLog:
 
 def _refuse_what_lost_its_end(path: Path) -> None:
     """Before the database is opened for writing, which lets SQLite throw away what it cannot read."""
-    acknowledged = read_tally(path.parent)
-    if not acknowledged:
-        return
-    held = 0
-    if path.is_file() and path.stat().st_size:  # beside an empty database SQLite deletes the write-ahead log
+    acknowledged, held = read_tally(path.parent), 0
+    if acknowledged and path.is_file() and path.stat().st_size:
         reader = SqliteReader(path)
         try:
             held = sum(reader.positions().values())
@@ -168,9 +165,8 @@ def _refuse_what_lost_its_end(path: Path) -> None:
             reader.close()
     if held < acknowledged:
         raise StorageError(
-            f"the task log {path} holds {held} entries, but {acknowledged} were acknowledged: its end is lost, or it "
-            f"is an older copy; restore a backup into an empty directory, or delete {path.parent / TALLY_NAME} to go "
-            "on with what is there"
+            f"{lost_end(path, held, acknowledged)}; restore a backup into an empty directory, or delete "
+            f"{path.parent / TALLY_NAME} to go on with what is there"
         )
 
 

@@ -46,7 +46,7 @@ class SqliteReader:
     """
 
     def __init__(self, path: Path) -> None:
-        if not path.is_file():
+        if not path.is_file() or not path.stat().st_size:  # beside an empty database SQLite deletes the write-ahead log
             raise StorageError(f"there is no task log {path}")
         self.path = path
         self._threads = threading.local()

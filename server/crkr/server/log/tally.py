@@ -16,7 +16,7 @@ from zlib import crc32
 
 from crkr.protocol import StorageError
 
-__all__ = ["TALLY_NAME", "Tally", "read_tally"]
+__all__ = ["TALLY_NAME", "Tally", "lost_end", "read_tally"]
 
 logger = logging.getLogger(__name__)
 
@@ -71,6 +71,14 @@ def read_tally(directory: Path) -> int:
         logger.warning("%s is damaged: it cannot be told whether the log lost its end", path)
         return 0
     return int(found[1])
+
+
+def lost_end(path: Path, held: int, acknowledged: int) -> str:
+    """What is said of a log that holds less than was acknowledged."""
+    return (
+        f"the task log {path} holds {held} entries, but {acknowledged} were acknowledged: its end is lost, or it is an "
+        "older copy"
+    )
 
 
 def _line(positions: int) -> bytes:

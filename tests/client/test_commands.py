@@ -107,6 +107,24 @@ def test_a_prediction_is_printed_by_name_and_as_json(run: Run, task: str) -> Non
     assert (answer["policy"], answer["active"]) == ("explore", 1)
 
 
+def test_a_prediction_says_which_outcome_is_expected_of_the_goal(shared_endpoint: str, run: Run) -> None:
+    name, rng = f"aim-{uuid4()}", np.random.default_rng(0)
+    axis = {"low": -1.0, "high": 1.0}
+    outcome = [{"name": n, "unit": "m", "target": 0.5, "tolerance": 0.1} for n in ("side", "far")]
+    spec = {"name": name, "state": [{"name": "x", **axis}], "goal": [{"name": "g", **axis}], "outcome": outcome}
+    states, goals = rng.uniform(-1, 1, (60, 1)), rng.uniform(-1, 1, (60, 1))
+    measured = np.column_stack([goals + 0.5, np.full(60, np.nan)])
+    with Client(shared_endpoint) as client:
+        task = client.create_task(spec)
+        task.report(state=states, goal=goals, cost=np.full(60, 0.5), success=True, outcome=measured, wait=True)
+    shown = run("predict", name, "--state", "0").stdout.splitlines()
+    [line] = [line.split() for line in shown if line.startswith("side")]
+    assert (line[2], line[4:]) == ("m", ["0.5", "0.1"])
+    answer = data(run("predict", name, "--state", "0", "--json"))
+    assert answer["predicted_outcome"][0] == pytest.approx(answer["goal"][0] + 0.5, abs=0.05)
+    assert answer["predicted_outcome"][1] is None  # never observed
+
+
 def test_a_report_tells_new_from_known(run: Run, task: str) -> None:
     trial = ["--state", "2", "--goal", "4, -0.5", "--cost", "0.2", "--failure", "--id", str(uuid4())]
     assert run("report", task, *trial, "--wait").stdout.startswith("stored: number 3")

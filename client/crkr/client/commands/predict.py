@@ -59,6 +59,15 @@ def _show(answer: Prediction, spec: TaskSpec) -> None:
         ("goal", "value", "unit", "mean", "sigma"),
         [(axis.name, f"{goal:.5g}", axis.unit, f"{mean:.5g}", f"{sd:.3g}") for axis, goal, mean, sd in columns],
     )
+    if answer.predicted_outcome is not None and answer.predicted_outcome_sd is not None:
+        expected = zip(spec.outcome, answer.predicted_outcome, answer.predicted_outcome_sd, strict=True)
+        print_table(
+            ("outcome", "expected", "unit", "sd", "target", "tolerance"),
+            [
+                (one.name, f"{value:.3g}", one.unit, f"{sd:.2g}", f"{one.target:g}", f"{one.tolerance:g}")
+                for one, value, sd in expected
+            ],
+        )
     stdout.print(
         f"novelty {float(answer.novelty):.3f}, policy {answer.policy}, {answer.active} active samples, "
         f"model {answer.model_version}"

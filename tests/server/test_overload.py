@@ -1,15 +1,43 @@
 """One client that asks too much is told so at once, and the others do not notice."""
 
+import os
+import signal
+import subprocess
+import sys
+import time
 from collections import Counter
 from collections.abc import Callable
+from contextlib import ExitStack
 from typing import Any
 
 import msgpack
+import pytest
 import zenoh
+
+from crkr.client import Client
 
 Ask = Callable[..., dict[str, Any]]
 MakeTrial = Callable[..., dict[str, Any]]
 OUTSTANDING = 700
+# Asks and asks, and reads little of what it is told.
+GREEDY = """
+import sys
+import msgpack, zenoh
+config = zenoh.Config()
+for name, value in {"mode": '"client"', "connect/endpoints": f'["{sys.argv[1]}"]',
+                    "scouting/multicast/enabled": "false", "scouting/gossip/enabled": "false"}.items():
+    config.insert_json5(name, value)
+session, waiting, count = zenoh.open(config), [], 0
+question = msgpack.packb({"states": [[0.5, 0.5]] * 40, "explore": True})
+while True:
+    waiting.append(session.get("crkr/@v1/task/reach/rpc/predict", zenoh.handlers.FifoChannel(1), payload=question,
+                               timeout=60.0, consolidation=zenoh.ConsolidationMode.NONE))
+    count += 1
+    if count == 500:
+        print("asking", flush=True)
+    if len(waiting) == 200:
+        waiting.pop(0).try_recv()
+"""
 
 
 def test_beyond_a_full_queue_requests_are_refused_as_busy_while_another_client_is_answered(
@@ -46,3 +74,27 @@ def test_beyond_a_full_queue_requests_are_refused_as_busy_while_another_client_i
             found[error["code"]] += 1
     assert set(found) == {"page", "BUSY"}
     assert found["page"] >= 256
+
+
+@pytest.mark.parametrize("rounds", [1, pytest.param(5, marks=pytest.mark.campaign)], ids=["short", "long"])
+def test_clients_that_ask_and_stop_reading_do_not_hold_up_the_others(
+    rounds: int, server: Any, reach: dict[str, Any]
+) -> None:
+    with Client(server.endpoint) as client:
+        task = client.create_task(reach)
+        task.report(state=[0.5, 0.5], goal=[0.0] * 3, cost=0.5, success=True, wait=True)
+        for _ in range(rounds):
+            with ExitStack() as stack:
+                greedy = []
+                for _ in range(3):
+                    command = [sys.executable, "-c", GREEDY, server.endpoint]
+                    greedy.append(stack.enter_context(subprocess.Popen(command, stdout=subprocess.PIPE, text=True)))
+                    stack.callback(greedy[-1].kill)
+                for process in greedy:
+                    assert process.stdout is not None
+                    assert process.stdout.readline() == "asking\n"
+                for process in greedy:
+                    os.kill(process.pid, signal.SIGSTOP)
+                until = time.monotonic() + 4.0  # longer than a lease
+                while time.monotonic() < until:
+                    assert task.predict([0.5, 0.5], timeout_s=4.0).active == 1

@@ -26,6 +26,9 @@ _ALWAYS: Final[dict[str, Any]] = {
 # What a configuration file sets itself, if there is one. A silent partition is noticed after one lease [ms].
 _DEFAULTS: Final[dict[str, Any]] = {
     "transport/link/tx/lease": 2000,
+    # A client that asks and does not read holds up the thread that answers it, and so the others, for that long [us];
+    # then it is cut off. One that reads again connects again by itself.
+    "transport/link/tx/queue/congestion_control/block/wait_before_close": 500_000,
     "transport/link/rx/max_message_size": 4 * MAX_MESSAGE_BYTES,  # up to here it is refused by a typed error
 }
 

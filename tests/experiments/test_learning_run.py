@@ -50,6 +50,14 @@ def test_every_trial_and_every_context_is_counted_once(analytic: TableTennis) ->
     assert run.final.reasons["returned"] == run.final.successes["strict"] <= run.final.successes["paper"]
 
 
+@pytest.mark.parametrize("launcher", ["nominal", "wide"])
+def test_the_tuned_preset_learns_early(launcher: str) -> None:
+    skill = TableTennis(SkillOptions(environment="analytic", launcher=launcher), traces=False)
+    run = learn_once(skill, replace(COURSE, trials=200, contexts=100, watch=True), 3)
+    assert run.curve[0].rate("strict") < 0.6  # by the five demonstrations alone
+    assert run.final.rate("strict") > {"nominal": 0.85, "wide": 0.6}[launcher]
+
+
 def test_a_mean_comes_with_students_interval() -> None:
     rates = np.array([0.90, 0.97, 0.94, 0.99, 0.95])
     expected = stats.t.interval(0.95, 4, loc=rates.mean(), scale=stats.sem(rates))

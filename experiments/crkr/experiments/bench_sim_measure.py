@@ -69,7 +69,7 @@ def _agreement(run: Run) -> Iterator[Row]:
     for name in ENVIRONMENTS:
         skill = TableTennis(SkillOptions(environment=name), traces=False)
         results = [skill.attempt(ball, goal) for ball, goal in zip(balls, goals, strict=True)]
-        landings = np.array([np.full(2, np.nan) if r.outcome is None else r.outcome[3:] for r in results])
+        landings = np.array([np.full(2, np.nan) if r.outcome is None else r.outcome[3:5] for r in results])
         verdicts[name] = np.array([bool(r.info["outcomes"]["strict"]) for r in results]), landings
     exact, landed = verdicts.pop("analytic")
     verdicts["analytic, batched"] = AnalyticBatch(Arm()).play(balls, goals).strict, np.full_like(landed, np.nan)
@@ -99,7 +99,8 @@ def training_run(trials: int, seed: int) -> Run:
     learner = Learner(skill.spec())
     for shown in skill.demonstrations(5, demonstration_rng(seed)):
         learner.report(
-            state=shown.state, goal=shown.goal, cost=shown.result.cost, success=True, kind="demonstration"
+            state=shown.state, goal=shown.goal, cost=shown.result.cost, success=True, kind="demonstration",
+            outcome=shown.result.outcome,
         )  # fmt: skip
     rng, balls, goals, executed, spent = training_rng(seed, 1), [], [], [], 0.0
     for trial in range(WARM + trials):

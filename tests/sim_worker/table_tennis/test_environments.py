@@ -31,7 +31,7 @@ def test_a_good_swing_returns_the_ball_in_every_environment(skills: dict[str, Ta
             outcome = skill.attempt(ball, plan[0])
             assert outcome.outcome is not None
             wins[name] += outcome.success
-            landing[name].append(float(np.abs(outcome.outcome[3:]).max()))
+            landing[name].append(float(np.abs(outcome.outcome[3:5]).max()))
     assert wins["analytic"] == BALLS
     assert wins["hybrid"] == BALLS
     assert wins["contact"] >= 0.8 * BALLS

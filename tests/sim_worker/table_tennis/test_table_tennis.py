@@ -101,7 +101,7 @@ def test_a_good_goal_succeeds_and_a_bent_one_misses(played: tuple[TableTennis, n
     assert bent.cost is not None
     assert bent.cost > 0.9
     assert bent.outcome is not None
-    assert np.isnan(bent.outcome).tolist() == [False] * 3 + [True] * 2
+    assert np.isnan(bent.outcome).tolist() == [False] * 3 + [True] * 2 + [False]
 
 
 def test_striking_too_early_costs_but_the_miss_is_measured_on_the_untouched_flight(

@@ -21,7 +21,8 @@ from crkr.sim_worker.table_tennis.planner import HOME, Planner
 from crkr.sim_worker.table_tennis.play import Play
 from crkr.sim_worker.table_tennis.primitive import Infeasible, JointLimits, JointTrajectory, Primitive
 from crkr.sim_worker.table_tennis.simulation import Diverged, Simulation
-from crkr.sim_worker.table_tennis.spec import task_spec
+from crkr.sim_worker.table_tennis.spare_time import spare_time
+from crkr.sim_worker.table_tennis.spec import SPARE_TIME, task_spec
 from crkr.sim_worker.table_tennis.tracing import Motion, motion, trace
 from crkr.sim_worker.table_tennis.tracker import judge
 from crkr.sim_worker.table_tennis.wind_up import wind_up
@@ -125,7 +126,7 @@ class TableTennis:
             cost=verdict.cost,
             success=outcomes[self._criterion],
             executed=True,
-            outcome=verdict.outcome,
+            outcome=np.append(verdict.outcome, self._spare_time(np.asarray(goal, dtype=np.float64))),
             info={"reason": verdict.reason, "outcomes": outcomes},
             trace=trace(self._simulation, motion(swing, play, verdict)) if self._traces else None,
         )
@@ -170,6 +171,9 @@ class TableTennis:
             yield goal, outcome
             if outcome.info["outcomes"]["strict"]:
                 return
+
+    def _spare_time(self, goal: Floats) -> float:
+        return min(spare_time(self._primitive.limits, goal[:6] - HOME, goal[6:12], float(goal[12])), SPARE_TIME)
 
     def _recorded_profile(self) -> Floats:
         """The profile (N, 6) of a demonstration with a wind-up at the launcher's central ball, as measured there."""

@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from crkr.protocol import StorageError, Trial
+from crkr.protocol import StorageError, TaskSpec, Trial
 from crkr.server.log import PendingReport, SqliteLog, Stored
-from crkr.server.restoring import restore_all
+from crkr.server.radii_cache import save_radii
+from crkr.server.restoring import restore, restore_all
 
 Ask = Callable[..., dict[str, Any]]
 MakeTrial = Callable[..., dict[str, Any]]
@@ -137,21 +138,15 @@ def damaged(data: Path, copy: Path, seed: int) -> str:
     return f"seed {seed}: damage {number} of {name}"
 
 
-@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGTERM])
-@pytest.mark.parametrize(
-    "times", [60, pytest.param(1500, marks=[pytest.mark.campaign, pytest.mark.timeout(600)])], ids=["short", "long"]
-)
-def test_a_log_damaged_anywhere_is_whole_or_refused(
-    times: int, how: signal.Signals, left: Callable[[signal.Signals], Path], make_trial: MakeTrial, tmp_path: Path
-) -> None:
-    data, trials = left(how), acknowledged(make_trial)
-    (tmp_path / "copies").mkdir()
-    shutil.copytree(data, tmp_path / "copies" / "intact")
-    truth = content(tmp_path / "copies" / "intact", trials)
-    assert truth["again"] == (tuple(range(2, TRIALS + 2)), 0)
+def undamaged_or_refused(data: Path, trials: list[dict[str, Any]], times: int, copies: Path) -> None:
+    """Damages copies in random places; each is as good as the original or is refused with its name and advice."""
+    copies.mkdir()
+    shutil.copytree(data, copies / "intact")
+    truth = content(copies / "intact", trials)
+    assert truth["again"] == (tuple(range(2, len(trials) + 2)), 0)
     refused: list[tuple[str, str]] = []
     for seed in range(times):
-        copy = tmp_path / "copies" / str(seed)
+        copy = copies / str(seed)
         done = damaged(data, copy, seed)
         try:
             assert content(copy, trials) == truth, done
@@ -160,8 +155,40 @@ def test_a_log_damaged_anywhere_is_whole_or_refused(
         shutil.rmtree(copy)
     assert times / 4 < len(refused) < times
     for done, message in refused:
-        assert str(tmp_path / "copies") in message, (done, message)
+        assert str(copies) in message or "the trial at log position" in message, (done, message)
         assert any(advice in message for advice in ADVICE), (done, message)
+
+
+@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGTERM])
+@pytest.mark.parametrize(
+    "times", [60, pytest.param(1300, marks=[pytest.mark.campaign, pytest.mark.timeout(600)])], ids=["short", "long"]
+)
+def test_a_log_damaged_anywhere_is_whole_or_refused(
+    times: int, how: signal.Signals, left: Callable[[signal.Signals], Path], make_trial: MakeTrial, tmp_path: Path
+) -> None:
+    undamaged_or_refused(left(how), acknowledged(make_trial), times, tmp_path / "copies")
+
+
+@pytest.mark.campaign
+@pytest.mark.timeout(600)
+def test_a_long_log_damaged_anywhere_is_whole_or_refused(
+    make_trial: MakeTrial, reach: dict[str, Any], tmp_path: Path
+) -> None:
+    spec = TaskSpec.from_dict(reach)
+    trials = [make_trial(number, worker="ada", info={"reason": "hit"}) for number in range(7000)]
+    log = SqliteLog(tmp_path / "data")
+    log.create(spec)
+    for first in range(0, 7000, 1000):
+        report = tuple(Trial.from_wire(trial, spec) for trial in trials[first : first + 1000])
+        log.append_reports([PendingReport("reach", report)])
+        if first == 5000:
+            radii = restore(log.reads, "reach").learner.radii()
+            assert radii is not None
+            save_radii(log, "reach", radii)
+    shutil.copytree(tmp_path / "data", tmp_path / "left")  # as a kill would leave it
+    log.close()
+    (tmp_path / "left" / "crkr.sqlite3-shm").unlink()
+    undamaged_or_refused(tmp_path / "left", trials, 150, tmp_path / "copies")
 
 
 LOST_ENDS: tuple[Callable[[Path], object], ...] = (

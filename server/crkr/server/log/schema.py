@@ -49,7 +49,8 @@ def storage_errors(doing: str) -> Iterator[None]:
         yield
     except sqlite3.Error as error:
         name = str(getattr(error, "sqlite_errorname", ""))
-        advice = "; restore a backup" if name in _DAMAGED else ""
+        undecodable = not name and isinstance(error, sqlite3.OperationalError)  # text that is none
+        advice = "; restore a backup" if undecodable or name in _DAMAGED else ""
         raise StorageError(f"cannot {doing}: {error}{name and f' ({name})'}{advice}") from error
 
 

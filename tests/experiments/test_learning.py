@@ -44,3 +44,13 @@ def test_a_single_run_has_no_interval(app: Typer) -> None:
     paper = next(line.split() for line in result.stdout.splitlines() if line.startswith("paper"))
     assert " to " not in " ".join(paper)
     assert paper[-2:] == ["(seed", "3)"]
+
+
+def test_launcher_preset_and_demonstrations_are_chosen_by_flags(app: Typer) -> None:
+    chosen = ["--launcher", "medium", "--preset", "paper", "--demonstrations", "20"]
+    results = [CliRunner().invoke(app, [*SHORT, "--seeds", "1", "--json", *more]) for more in ([], chosen)]
+    default, other = (json.loads(result.stdout) for result in results)
+    assert (other["options"]["launcher"], other["options"]["preset"]) == ("medium", "paper")
+    assert other["course"]["demonstrations"] == 20
+    assert other["runs"][0]["digest"] != default["runs"][0]["digest"]
+    assert other["summary"]["strict"]["oracle"] is not None

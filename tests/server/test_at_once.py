@@ -108,7 +108,7 @@ def test_whatever_happens_at_once_log_model_and_copies_agree(
         for act in (crowd.report, crowd.report, crowd.administer, crowd.administer):
             crowd.add(act)
         for turn in range(rounds):
-            goals = len(crowd.acknowledged) + 100, crowd.administered + 30
+            goals = len(crowd.acknowledged) + 60, crowd.administered + 20
             processes.wait_until(
                 lambda goals=goals: (
                     crowd.failed or (len(crowd.acknowledged) >= goals[0] and crowd.administered >= goals[1])
@@ -121,7 +121,7 @@ def test_whatever_happens_at_once_log_model_and_copies_agree(
             server.process.wait(timeout=5)
             server = start_server(port=free_port)
             assert "agree" in crkr("replay", str(copy))
-        processes.wait_until(lambda: crowd.failed or len(crowd.acknowledged) >= goals[0] + 50)
+        processes.wait_until(lambda: crowd.failed or len(crowd.acknowledged) >= goals[0] + 30)
         assert crowd.failed == []
         end = task.archive()["seq"]
         crowd.stop()

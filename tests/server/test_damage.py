@@ -161,7 +161,7 @@ def undamaged_or_refused(data: Path, trials: list[dict[str, Any]], times: int, c
 
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGTERM])
 @pytest.mark.parametrize(
-    "times", [60, pytest.param(1300, marks=[pytest.mark.campaign, pytest.mark.timeout(600)])], ids=["short", "long"]
+    "times", [40, pytest.param(1300, marks=[pytest.mark.campaign, pytest.mark.timeout(600)])], ids=["short", "long"]
 )
 def test_a_log_damaged_anywhere_is_whole_or_refused(
     times: int, how: signal.Signals, left: Callable[[signal.Signals], Path], make_trial: MakeTrial, tmp_path: Path

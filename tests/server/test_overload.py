@@ -95,6 +95,6 @@ def test_clients_that_ask_and_stop_reading_do_not_hold_up_the_others(
                     assert process.stdout.readline() == "asking\n"
                 for process in greedy:
                     os.kill(process.pid, signal.SIGSTOP)
-                until = time.monotonic() + 4.0  # longer than a lease
+                until = time.monotonic() + 3.0  # longer than a lease
                 while time.monotonic() < until:
                     assert task.predict([0.5, 0.5], timeout_s=4.0).active == 1

@@ -1,8 +1,10 @@
 """Whoever sends what nobody should send gets a typed error; the server keeps nothing of it and answers as before."""
 
 import os
+import socket
 from collections import Counter
 from collections.abc import Callable
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +12,8 @@ import msgpack
 import numpy as np
 import pytest
 import zenoh
+
+from crkr.client import Client
 
 Ask = Callable[..., dict[str, Any]]
 MakeTrial = Callable[..., dict[str, Any]]
@@ -248,3 +252,22 @@ def test_hostile_messages_get_typed_errors_and_leave_no_trace(
     server.process.wait(timeout=5)
     again = connect(start_server().endpoint)("task/calm/rpc/predict", question)
     assert {**again, "compute_us": 0} == calm
+
+
+def test_connections_that_do_not_speak_the_protocol_keep_nobody_out(
+    server: Any, connect: Callable[[str], Ask], reach: dict[str, Any]
+) -> None:
+    ask, rng = connect(server.endpoint), np.random.default_rng(0)
+    ask("rpc/create_task", reach)
+    before = resident(server.process.pid)
+    for _ in range(300):
+        noise = rng.bytes(int(rng.integers(1, 3000)))
+        with socket.create_connection(("127.0.0.1", server.port)) as link, suppress(OSError):
+            link.sendall(noise if rng.random() < 0.5 else len(noise).to_bytes(2, "little") + noise)
+    with ExitStack() as stack:
+        for _ in range(300):  # that say nothing at all
+            stack.enter_context(socket.create_connection(("127.0.0.1", server.port)))
+        assert ask("rpc/info")["tasks"] == ["reach"]
+        with Client(server.endpoint, timeout_s=5) as another:
+            assert another.info()["tasks"] == ["reach"]
+    assert resident(server.process.pid) - before < 30e6

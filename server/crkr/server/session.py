@@ -29,6 +29,9 @@ _DEFAULTS: Final[dict[str, Any]] = {
     # A client that asks and does not read holds up the thread that answers it, and so the others, for that long [us];
     # then it is cut off. One that reads again connects again by itself.
     "transport/link/tx/queue/congestion_control/block/wait_before_close": 500_000,
+    # Connections that never speak the protocol must not keep others from connecting [ms, count].
+    "transport/unicast/accept_timeout": 2000,
+    "transport/unicast/accept_pending": 1000,
     "transport/link/rx/max_message_size": 4 * MAX_MESSAGE_BYTES,  # up to here it is refused by a typed error
 }
 

@@ -44,6 +44,17 @@ def test_a_worker_is_alive_by_its_token_and_lost_without(
     until(lambda: worker(ask, "ada").get("state") == "lost")
 
 
+def test_odd_tokens_disturb_nobody(ask: Ask, task: str, plain: Plain, shared_endpoint: str) -> None:
+    session = plain(shared_endpoint)
+    keys = ["crkr/@v1/**", "crkr/@v1/task/**", "crkr/@v1/task/*/live/*/*", f"crkr/@v1/task/{task}/live/*/eve"]
+    keys += [f"crkr/@v1/task/{task}/live/dance/eve", f"crkr/@v1/task/{task}/live/left/eve"]
+    tokens = [session.liveliness().declare_token(key) for key in keys]
+    tokens.append(session.liveliness().declare_token(f"crkr/@v1/task/{task}/live/worker/ada"))
+    until(lambda: worker(ask, "ada").get("state") == "alive")
+    assert [entry["id"] for entry in ask("task/reach/rpc/status")["workers"]] == ["ada"]
+    assert len(tokens) == 7  # held until here
+
+
 def test_a_server_shows_itself_by_a_token(ask: Ask, plain: Plain, shared_endpoint: str) -> None:
     server_id = ask("rpc/info")["server_id"]
     replies = plain(shared_endpoint).liveliness().get("crkr/@v1/live/server/*", timeout=5.0)

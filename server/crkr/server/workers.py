@@ -116,7 +116,11 @@ class Workers:
                 sample = tokens.recv()
             except zenoh.ZError:  # the session is closed
                 return
-            *_, task, _, what, worker = str(sample.key_expr).split("/")
+            match str(sample.key_expr).split("/"):
+                case [_, _, _, task, _, what, worker]:
+                    pass
+                case _:  # a token on a wildcard, which is nobody's
+                    continue
             stands = sample.kind == zenoh.SampleKind.PUT
             if what == _LEFT:
                 self._leave(task, worker, stands)

@@ -36,6 +36,23 @@ def test_beside_the_table_the_paddle_may_be_low(check: CollisionCheck, arm: Arm)
     assert check.first(near[None]) == 0
 
 
+def test_the_net_is_out_of_reach(arm: Arm) -> None:
+    """No point of a shape is farther from the shoulder's axis than all the links on the way, one behind the other."""
+    links = [float(np.linalg.norm(placement.translation)) for placement in arm.model.jointPlacements]
+    farthest = 0.0
+    for shape in arm.shapes.geometryObjects:
+        if shape.parentJoint:
+            shape.geometry.computeLocalAABB()
+            centre = shape.placement.act(shape.geometry.aabb_center)
+            own = float(np.linalg.norm(centre)) + shape.geometry.aabb_radius
+            farthest = max(farthest, own + sum(links[2 : shape.parentJoint + 1]))
+    assert farthest > 1.5
+    net = next(shape for shape in arm.shapes.geometryObjects if shape.name == "net")
+    net.geometry.computeLocalAABB()
+    face = net.placement.translation[0] - net.geometry.halfSide[0]
+    assert arm.model.jointPlacements[1].translation[0] + farthest < face - 0.05
+
+
 def test_the_first_sample_that_collides_is_named(check: CollisionCheck, arm: Arm) -> None:
     low = arm.reach(np.array([-1.3, 0.0, TABLE_HEIGHT]), NORMAL, POSTURE)
     assert check.first(np.array([HOME, POSTURE, low, HOME, low])) == 2

@@ -1,4 +1,4 @@
-"""Whether a motion of the arm would touch the table, the net or the arm itself, by Coal on the shapes of the scene."""
+"""Whether a motion of the arm would touch the table or the arm itself, by Coal on the shapes of the scene."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ __all__ = ["CollisionCheck"]
 Floats = NDArray[np.float64]
 
 MARGIN = 0.01  # [m]
-OBSTACLES = ("table", "net")
+OBSTACLES = ("table",)  # the net is out of the reach of the stretched arm, by more than 10 cm
 # Upper arm and shoulder never get near the table without the forearm.
 MOVING = ("elbow", "forearm", "wrist_1", "wrist_2", "wrist_3", "handle", "paddle")
 # Parts of the arm that can meet. Neighbours always touch; others never can, e.g. elbow and hand.
@@ -31,7 +31,7 @@ ITSELF: Final = {
 
 @final
 class CollisionCheck:
-    """Checks joint positions of one arm against table and net, with a margin of 1 cm.
+    """Checks joint positions of one arm against the table, with a margin of 1 cm; the net is out of its reach.
 
     Args:
         arm: Its kinematics and shapes.
@@ -51,7 +51,7 @@ class CollisionCheck:
         for moving, obstacle in pairs:
             self._shapes.addCollisionPair(pinocchio.CollisionPair(index(moving), index(obstacle)))
         self._all = self._requests()
-        self._outside = self._requests()  # table and net alone
+        self._outside = self._requests()  # the table alone
         for pair in range(len(OBSTACLES) * len(MOVING), len(pairs)):
             self._outside.deactivateCollisionPair(pair)
 

@@ -44,7 +44,7 @@ def demo(
 
     Example: crkr demo --trials 1500 --seed 3
     """
-    from crkr.sim_worker.demo.display import print_summary
+    from crkr.sim_worker.demo.display import print_summary, script
     from crkr.sim_worker.demo.equipment import check_equipment
     from crkr.sim_worker.demo.session import run_demo
     from crkr.sim_worker.demo.settings import DemoSettings
@@ -67,7 +67,7 @@ def demo(
     connect = "" if port == DEFAULT_PORT else f" --connect {settings.endpoint}"
     welcome = (
         f"{workers} workers learn {skill}; server at {settings.endpoint}, everything in {data}",
-        f"ask it from another terminal: crkr status {settings.task}{connect}",
+        f"ask it from another terminal: {script('crkr')} status {settings.task}{connect}",
     )
 
     def finished(result: DemoResult) -> None:

@@ -12,7 +12,12 @@ from rich.console import Console
 
 from crkr.sim_worker.demo.session import DemoResult
 
-__all__ = ["print_summary"]
+__all__ = ["print_summary", "script"]
+
+
+def script(name: str) -> str:
+    """What a shell is told to start a script of our environment: its name where PATH has one, else its path."""
+    return name if shutil.which(name) else _short(str(Path(sys.executable).with_name(name)))
 
 
 def print_summary(console: Console, result: DemoResult) -> None:
@@ -23,9 +28,7 @@ def print_summary(console: Console, result: DemoResult) -> None:
         console.print(f"{name:<{width}}  {value}")
     recording = result.summary["recording"]
     if recording:
-        viewer = shutil.which("rerun") and "rerun"
-        viewer = viewer or _short(str(Path(sys.executable).with_name("rerun")))  # beside us, where no shell looks
-        console.print(f"{'look again':<{width}}  {viewer} {_short(recording)}")
+        console.print(f"{'look again':<{width}}  {script('rerun')} {_short(recording)}")
 
 
 def _rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:

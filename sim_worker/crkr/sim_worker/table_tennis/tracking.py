@@ -23,13 +23,14 @@ def controls(arm: Arm, gains: Gains, swing: JointTrajectory, times: Floats) -> F
 def _feed_forward(arm: Arm, swing: JointTrajectory, times: Floats) -> Floats:
     """Inverse dynamics (n, 6), exact at both ends of each interval of constant acceleration and linear within."""
     last = len(swing.time) - 1
-    begin, end = np.empty((last, 6)), np.empty((last, 6))
-    for knot, acceleration in enumerate(swing.acceleration):
+    at = np.minimum(np.searchsorted(swing.time, times, side="right") - 1, last - 1)
+    reached = int(at.max()) + 1  # a swing is seldom followed to its end
+    begin, end = np.empty((reached, 6)), np.empty((reached, 6))
+    for knot, acceleration in enumerate(swing.acceleration[:reached]):
         begin[knot] = arm.torques(swing.position[knot], swing.velocity[knot], acceleration)
         end[knot] = arm.torques(swing.position[knot + 1], swing.velocity[knot + 1], acceleration)
     still = np.zeros(6)
     rest = arm.torques(swing.position[-1], still, still)
-    at = np.minimum(np.searchsorted(swing.time, times, side="right") - 1, last - 1)
     part = ((times - swing.time[at]) / (swing.time[at + 1] - swing.time[at]))[:, None]
     moving = (times < swing.time[-1])[:, None]
     return np.where(moving, begin[at] + part * (end[at] - begin[at]), rest)

@@ -1,6 +1,7 @@
 """The examples run as they stand, against a real server."""
 
 import ast
+import json
 import re
 import subprocess
 import sys
@@ -78,3 +79,17 @@ def test_a_reader_without_our_package_holds_a_full_conversation(server: Any) -> 
             "too much at once": "BUSY",
         }.items()
     )
+
+
+def test_a_skill_of_ones_own_learns_from_misses_too(server: Any) -> None:
+    def crkr(*words: str) -> dict[str, Any]:
+        command = [sys.executable, "-m", "crkr.client", *words, "--json", "--connect", server.endpoint]
+        result = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False, cwd=EXAMPLES.parent)
+        assert result.returncode == 0, result.stderr
+        answer: dict[str, Any] = json.loads(result.stdout)
+        return answer
+
+    crkr("workers", "examples.reach:make", "-n", "2", "--trials", "400", "--seed", "1")
+    judged = crkr("evaluate", "reach", "--skill", "examples.reach:make", "--balls", "500", "--seed", "7")
+    assert judged["before_learning"]["success"] <= 0.5
+    assert judged["success"] >= 0.75, "with the plain exploration, which learns from successes only, it is below 0.3"

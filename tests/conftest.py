@@ -15,6 +15,11 @@ from typing import Any
 
 import pytest
 import zenoh
+from hypothesis import HealthCheck, settings
+
+# Property tests are about values, not about time: a busy machine is no failure.
+settings.register_profile("values", deadline=None, max_examples=60, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("values")
 
 INFO = "crkr/@v1/rpc/info"
 READY_WITHIN_S = 20.0

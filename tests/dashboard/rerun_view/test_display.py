@@ -1,8 +1,10 @@
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
+from rerun.chunk import RrdReader
 
 from crkr.client.wilson import wilson_interval
 from crkr.dashboard import Feed
@@ -106,3 +108,15 @@ def test_the_log_says_how_evaluations_went_and_what_was_skipped(tables: dict[str
     lines = column(tables["/log"], "TextLog:text")
     assert any(line.startswith("epoch 0: hit 0.50 [") for line in lines)
     assert any(line.startswith("skipped 1 unreadable") for line in lines)
+
+
+def test_a_run_that_is_over_at_once_leaves_its_layout_in_the_file(
+    recording: Recording, file: Path, stored: Make
+) -> None:
+    feed = Feed(display := RerunDisplay(recording, "crane"))
+    now = time.monotonic()
+    feed.news(News(trials=(stored(1),), status=STATUS), now)
+    feed.step(now)
+    display.finish(feed.progress)
+    assert recording.close(5.0)
+    assert [store.application_id for store in RrdReader(str(file)).blueprints()] == ["crkr"]

@@ -90,7 +90,9 @@ class RerunDisplay:
 
     def finish(self, progress: Progress) -> None:
         """Sends everything that is still here."""
-        self.tick(time.monotonic(), progress)
+        now = time.monotonic()
+        self._arrange_at = now  # a run may be over before the layout's patience is
+        self.tick(now, progress)
         self._curves.flush(progress)
         self._write_pages(progress)
 

@@ -5,11 +5,13 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, final
+from typing import Any, Final, final
 
 from crkr.dashboard.progress import Progress
 
 __all__ = ["WorkerFacts", "latency_ms", "percent", "reason_rows", "worker_rows"]
+
+UNKNOWN: Final = "unknown"
 
 
 @final
@@ -19,20 +21,15 @@ class WorkerFacts:
 
     Attributes:
         name: Its id.
-        alive: Whether its liveliness token stands; None where only the log knows it.
+        state: As the server calls it, "alive" while its liveliness token stands; "unknown" where only the log knows it.
         trials: How many trials it reported, of all kinds.
         quiet_s: Since when nothing was heard of it [s], or None.
     """
 
     name: str
-    alive: bool | None
+    state: str
     trials: int
     quiet_s: float | None
-
-    @property
-    def state(self) -> str:
-        """One word: alive, gone or unknown."""
-        return "unknown" if self.alive is None else "alive" if self.alive else "gone"
 
 
 def worker_rows(status: Mapping[str, Any], progress: Progress) -> list[WorkerFacts]:
@@ -43,7 +40,7 @@ def worker_rows(status: Mapping[str, Any], progress: Progress) -> list[WorkerFac
     facts = {
         str(entry.get("id")): WorkerFacts(
             str(entry.get("id")),
-            entry.get("state") == "alive",
+            _state(entry.get("state")),
             progress.workers[str(entry.get("id"))],
             now - entry["last_seen"] if isinstance(entry.get("last_seen"), int | float) else None,
         )
@@ -51,8 +48,12 @@ def worker_rows(status: Mapping[str, Any], progress: Progress) -> list[WorkerFac
     }
     for name, trials in progress.workers.items():
         if name:
-            facts.setdefault(name, WorkerFacts(name, None, trials, None))
-    return sorted(facts.values(), key=lambda worker: (not worker.alive, worker.name))
+            facts.setdefault(name, WorkerFacts(name, UNKNOWN, trials, None))
+    return sorted(facts.values(), key=lambda worker: (worker.state != "alive", worker.name))
+
+
+def _state(word: object) -> str:
+    return word if isinstance(word, str) else UNKNOWN
 
 
 def reason_rows(progress: Progress) -> list[tuple[str, int, float, float]]:

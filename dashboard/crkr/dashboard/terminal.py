@@ -151,7 +151,7 @@ class TerminalDisplay:
         table = Table("worker", "state", "trials", "last heard")
         for worker in worker_rows(self._status, progress)[:12]:
             quiet = "" if worker.quiet_s is None else f"{worker.quiet_s:.0f} s"
-            table.add_row(Text(worker.name), worker.state, str(worker.trials), quiet)
+            table.add_row(Text(worker.name), Text(worker.state), str(worker.trials), quiet)
         return table
 
     def _server(self) -> Table:

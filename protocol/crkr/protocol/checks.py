@@ -59,6 +59,11 @@ def finite_array(value: object, name: str, shape: tuple[int | None, ...], *, all
     Raises:
         Invalid: Another shape, not numbers, or not finite.
     """
+    if type(value) is np.ndarray and value.shape == shape and len(shape) == 1 and value.dtype == np.float64:
+        vector: Array = value.copy()
+        if math.isfinite(vector.dot(vector)):  # so is each of them: by far the commonest case takes no full check
+            vector.setflags(write=False)
+            return vector
     try:
         array = _numbers(value)
     except (TypeError, ValueError, OverflowError) as error:

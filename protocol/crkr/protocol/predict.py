@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, final
@@ -20,11 +19,8 @@ __all__ = ["PredictRequest", "Prediction", "check_states"]
 
 def check_states(value: object, dimensions: int) -> Array:
     """States as (d,) or (b, d), checked; raises `Invalid`."""
-    if isinstance(value, np.ndarray) and value.shape == (dimensions,) and value.dtype == np.float64:
-        one: Array = value.copy()  # by far the commonest question takes no full check
-        one.setflags(write=False)
-        if math.isfinite(one.dot(one)):
-            return one
+    if type(value) is np.ndarray and value.ndim == 1:
+        return finite_array(value, "states", (dimensions,))
     batch = depth(value, "states") == 2
     states = finite_array(value, "states", (None, dimensions) if batch else (dimensions,))
     if batch and not 1 <= len(states) <= MAX_STATES:

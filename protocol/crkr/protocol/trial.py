@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from hashlib import blake2b
@@ -11,7 +12,7 @@ from uuid import UUID
 import numpy as np
 
 from crkr.protocol.checks import choice, finite_array, flag, integer, number, required, text
-from crkr.protocol.codec import Array, array_from_wire, id_from_wire, pack
+from crkr.protocol.codec import Array, frozen_from_wire, id_from_wire, pack
 from crkr.protocol.errors import Invalid
 from crkr.protocol.task_spec import TaskSpec
 
@@ -102,12 +103,12 @@ class Trial:
         return cls.create(
             spec,
             id=id_from_wire(required(message, "id")),
-            state=array_from_wire(required(message, "state"), "state"),
-            goal=array_from_wire(required(message, "goal"), "goal"),
+            state=frozen_from_wire(required(message, "state"), "state"),
+            goal=frozen_from_wire(required(message, "goal"), "goal"),
             cost=required(message, "cost"),
             success=required(message, "success"),
             kind=required(message, "kind"),
-            outcome=None if outcome is None else array_from_wire(outcome, "outcome"),
+            outcome=None if outcome is None else frozen_from_wire(outcome, "outcome"),
             worker=message.get("worker"),
             model_version=message.get("model_version"),
             info=message.get("info"),
@@ -133,9 +134,9 @@ class Trial:
 
     def digest(self) -> bytes:
         """16 bytes that are equal exactly when the content (bitwise, provenance aside) is."""
-        cost = np.float64("nan") if self.cost is None else np.float64(self.cost)
+        cost = struct.pack("<d", float("nan") if self.cost is None else self.cost)
         head = bytes([KINDS.index(self.kind), self.success, self.outcome is not None, self.cost is not None])
-        content = [head, self.state.tobytes(), self.goal.tobytes(), cost.tobytes()]
+        content = [head, self.state.tobytes(), self.goal.tobytes(), cost]
         if self.outcome is not None:
             content.append(self.outcome.tobytes())
         return blake2b(b"".join(content), digest_size=16).digest()
@@ -143,7 +144,7 @@ class Trial:
 
 def _goal(value: object, spec: TaskSpec) -> Array:
     goal = finite_array(value, "goal", (len(spec.goal),))
-    for axis, given in zip(spec.goal, goal, strict=True):
+    for axis, given in zip(spec.goal, goal.tolist(), strict=True):
         if not axis.low <= given <= axis.high:
             raise Invalid(
                 f"goal {axis.name!r} must be in [{axis.low}, {axis.high}] {axis.unit}; got {given}",

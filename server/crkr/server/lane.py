@@ -42,8 +42,11 @@ class Lane(Generic[_Job]):
         self._queue: deque[_Job] = deque()
         self._waiting: Counter[str] = Counter()
         self._bytes = 0
-        self._changed = threading.Condition()
-        self._closing = False
+        self._lock = threading.Lock()
+        # A lock that is let go of wakes the thread in one step, half the time that a condition takes to.
+        self._bell = threading.Lock()
+        self._bell.acquire()
+        self._asleep = self._closing = False
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
 
     def start(self) -> None:
@@ -53,15 +56,17 @@ class Lane(Generic[_Job]):
     def offer(self, request: _Job) -> CrkrError | None:
         """Queues a request, or says why not; then the caller answers it."""
         limit = self._limits[request.verb]
-        with self._changed:
+        with self._lock:
             full = self._waiting[request.verb] >= limit or (self._queue and self._bytes + request.size > _MOST_BYTES)
-            if not full and not self._closing:
-                self._waiting[request.verb] += 1
-                self._bytes += request.size
-                self._queue.append(request)
-                self._changed.notify()
-                return None
-        return busy(request.verb) if full else shutting_down()
+            if full or self._closing:
+                return busy(request.verb) if full else shutting_down()
+            self._waiting[request.verb] += 1
+            self._bytes += request.size
+            self._queue.append(request)
+            ring, self._asleep = self._asleep, False
+        if ring:
+            self._bell.release()
+        return None
 
     def depths(self) -> dict[str, Any]:
         """Verb -> how many wait and how many may."""
@@ -69,12 +74,14 @@ class Lane(Generic[_Job]):
 
     def close(self, patience_s: float) -> None:
         """Takes nothing more, works off the rest for `patience_s`, then refuses what is left."""
-        with self._changed:
+        with self._lock:
             self._closing = True
-            self._changed.notify_all()
+            ring, self._asleep = self._asleep, False
+        if ring:
+            self._bell.release()
         if self._thread.is_alive():
             self._thread.join(patience_s)
-        with self._changed:
+        with self._lock:
             left = list(self._queue)
             self._queue.clear()
         for request in left:
@@ -92,16 +99,22 @@ class Lane(Generic[_Job]):
                     request.fail_unexpectedly(RuntimeError("left without an answer"))
 
     def _take(self) -> list[_Job]:
-        with self._changed:
-            while not self._queue and not self._closing:
-                self._changed.wait()
-            batch: list[_Job] = []
-            size = 0
-            while self._queue and len(batch) < self._most and size <= _BATCH_BYTES:
-                batch.append(self._queue.popleft())
-                size += batch[-1].size
-                self._waiting[batch[-1].verb] -= 1
-            self._bytes -= size
+        """What waits, as much as may be worked off together; nothing only once the lane closes."""
+        while True:
+            with self._lock:
+                if self._queue or self._closing:
+                    return self._next()
+                self._asleep = True
+            self._bell.acquire()
+
+    def _next(self) -> list[_Job]:
+        batch: list[_Job] = []
+        size = 0
+        while self._queue and len(batch) < self._most and size <= _BATCH_BYTES:
+            batch.append(self._queue.popleft())
+            size += batch[-1].size
+            self._waiting[batch[-1].verb] -= 1
+        self._bytes -= size
         return batch
 
 

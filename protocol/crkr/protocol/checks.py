@@ -61,7 +61,7 @@ def finite_array(value: object, name: str, shape: tuple[int | None, ...], *, all
     """
     if type(value) is np.ndarray and value.shape == shape and len(shape) == 1 and value.dtype == np.float64:
         vector: Array = value.copy()
-        if math.isfinite(vector.dot(vector)):  # so is each of them: by far the commonest case takes no full check
+        if np.isfinite(vector).all():  # by far the commonest case takes no further check
             vector.setflags(write=False)
             return vector
     try:

@@ -12,10 +12,10 @@ Numbers = Callable[[Any], np.ndarray[Any, Any]]
 MakeTrial = Callable[..., dict[str, Any]]
 
 
-def test_the_server_introduces_itself(ask: Ask, reach: dict[str, Any]) -> None:
+def test_the_server_introduces_itself(ask: Ask) -> None:
     info = ask("rpc/info")
     assert info["protocol"] == 1
-    assert reach["name"] in info["tasks"]
+    assert any(name.startswith("reach-") for name in info["tasks"])  # beside those of other tests
     assert info["limits"] == {"states": 4096, "trials": 1024, "message_bytes": 8 * 1024 * 1024}
     assert len(info["server_id"]) == 16
 

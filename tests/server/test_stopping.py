@@ -7,17 +7,24 @@ import threading
 from collections.abc import Callable, Iterator
 from typing import Any, NoReturn
 
+import msgpack
 import pytest
 import zenoh
 
 from crkr.protocol import task_key
 from crkr.server.intake import Intake
-from crkr.server.lane import Lane
+from crkr.server.lane import Lane, busy
 from crkr.server.latency import Latencies
+from crkr.server.refusing import Refuser
 from crkr.server.request import Request
 from crkr.server.session import open_session
 
 Ask = Callable[..., dict[str, Any]]
+
+
+def code(reply: zenoh.Reply) -> str:
+    assert reply.err is not None
+    return str(msgpack.unpackb(reply.err.payload.to_bytes())["code"])
 
 
 @pytest.fixture
@@ -35,7 +42,7 @@ def test_what_comes_after_the_order_to_stop_is_told_so(
     router: tuple[zenoh.Session, str], connect: Callable[[str], Ask]
 ) -> None:
     session, endpoint = router
-    intake = Intake(session, task_key("*", "*"), {}, Latencies(), fails)
+    intake = Intake(session, task_key("*", "*"), {}, Latencies(), Refuser(), fails)
     intake.start()
     intake.stop()
     for verb in ("predict", "report", "dance"):
@@ -57,7 +64,7 @@ def test_what_still_waits_when_the_patience_ends_is_told_so(
             request.reply({"done": True})
 
     lane: Lane[Request] = Lane("slow", {"samples": 10}, work)
-    intake = Intake(session, task_key("*", "*"), {"samples": lane}, Latencies())
+    intake = Intake(session, task_key("*", "*"), {"samples": lane}, Latencies(), Refuser())
     lane.start()
     intake.start()
     answers: list[dict[str, Any]] = []
@@ -80,13 +87,29 @@ def test_what_still_waits_when_the_patience_ends_is_told_so(
     ]
 
 
+def test_all_for_whom_there_was_no_room_are_told_so_before_the_end(
+    router: tuple[zenoh.Session, str], plain: Callable[[str], zenoh.Session]
+) -> None:
+    session, endpoint = router
+    key = task_key("reach", "explain")
+    queries = session.declare_queryable(key, zenoh.handlers.FifoChannel(1000), complete=True)
+    asking = plain(endpoint)
+    waiting = [asking.get(key, zenoh.handlers.FifoChannel(1), timeout=10.0) for _ in range(500)]
+    refuser = Refuser()
+    for _ in waiting:
+        refuser.add(Request(queries.recv(), Latencies()), busy("explain"))
+    refuser.start()
+    refuser.close(10.0)
+    assert {code(replies.recv()) for replies in waiting} == {"BUSY"}
+
+
 @pytest.mark.parametrize("verb", ["predict", "samples"])
 def test_a_defect_is_answered_as_internal_and_the_server_goes_on(
     router: tuple[zenoh.Session, str], connect: Callable[[str], Ask], verb: str
 ) -> None:
     session, endpoint = router
     lane: Lane[Request] = Lane("broken", {"samples": 10}, fails)
-    intake = Intake(session, task_key("*", "*"), {"samples": lane}, Latencies(), fails)
+    intake = Intake(session, task_key("*", "*"), {"samples": lane}, Latencies(), Refuser(), fails)
     lane.start()
     intake.start()
     ask = connect(endpoint)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, final
 
@@ -18,6 +17,7 @@ import zenoh
 from crkr.protocol import CrkrError, Internal, Unsupported
 from crkr.server.lane import Lane, busy, shutting_down
 from crkr.server.latency import OTHER_VERB, Latencies
+from crkr.server.refusing import Refuser
 from crkr.server.request import Request, refuse
 from crkr.server.turns import Turns
 
@@ -28,8 +28,6 @@ logger = logging.getLogger(__name__)
 _CHANNEL: Final = 65536  # queries, between Zenoh and the intake thread
 _ROUND: Final = 64  # queries taken off before predictions are answered again
 _BATCH: Final = 64  # predictions answered together
-_REFUSALS: Final = 16  # sent together
-_MOST_REFUSED: Final = 4096  # may wait to be told so
 _SMALL: Final = 4096  # bytes; a larger predict is not even looked at here
 
 
@@ -39,6 +37,7 @@ class Intake:
 
     Args:
         lanes: verb -> where its requests go.
+        refuser: Tells those for whom there is no room.
         predict: Answers predict requests on the intake thread and returns those it left: patient ones for their lane,
             the others for another round. None: there are none under this key.
     """
@@ -49,11 +48,11 @@ class Intake:
         key: str,
         lanes: Mapping[str, Lane[Any]],
         latencies: Latencies,
+        refuser: Refuser,
         predict: Callable[[list[Request]], Sequence[Request]] | None = None,
     ) -> None:
-        self._lanes, self._latencies, self._predict = lanes, latencies, predict
+        self._lanes, self._latencies, self._refuser, self._predict = lanes, latencies, refuser, predict
         self._waiting = Turns()
-        self._refused: deque[tuple[Request, CrkrError]] = deque()
         self._stopping = False
         self._queries = session.declare_queryable(key, zenoh.handlers.FifoChannel(_CHANNEL), complete=True)
         self._thread = threading.Thread(target=self._run, name=f"intake {key}", daemon=True)
@@ -74,30 +73,21 @@ class Intake:
     def _run(self) -> None:
         try:
             while True:
-                if not self._waiting and not self._refused:
+                if not self._waiting:
                     self._route(self._queries.recv())
-                all_taken = self._drain()
+                self._drain()
                 self._answer()
-                if all_taken or len(self._refused) > _MOST_REFUSED:
-                    self._refuse()
         except zenoh.ZError:  # the session is closed
             for request in self._waiting.take(len(self._waiting)):
                 request.fail(shutting_down())
 
-    def _drain(self) -> bool:
-        """Takes what has come; whether that was all."""
+    def _drain(self) -> None:
+        """Takes what has come, but not so much that predictions wait for it."""
         for _ in range(_ROUND):
             query = self._queries.try_recv()
             if query is None:
-                return True
+                return
             self._route(query)
-        return False
-
-    def _refuse(self) -> None:
-        """Tells some of those who asked too much; it takes longer than taking a query, and predictions may not wait."""
-        for _ in range(min(_REFUSALS, len(self._refused))):
-            request, error = self._refused.popleft()
-            request.fail(error)
 
     def _answer(self) -> None:
         if not self._waiting or self._predict is None:
@@ -133,13 +123,13 @@ class Intake:
 
     def _wait(self, request: Request) -> None:
         if not self._waiting.add(request):
-            self._refused.append((request, busy(request.verb)))
+            self._refuser.add(request, busy(request.verb))
 
     def _hand_over(self, request: Request) -> None:
         request.patient = True
         refusal = self._lane(request).offer(request)
         if refusal is not None:
-            self._refused.append((request, refusal))
+            self._refuser.add(request, refusal)
 
     def _lane(self, request: Request) -> Lane[Any]:
         lane = self._lanes.get(request.verb)

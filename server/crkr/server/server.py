@@ -26,6 +26,7 @@ from crkr.server.notices import Notices
 from crkr.server.predicting import Predictor
 from crkr.server.radii_cache import RadiiKeeper
 from crkr.server.reading import Reader
+from crkr.server.refusing import Refuser
 from crkr.server.restoring import restore_all
 from crkr.server.session import DEFAULT_LISTEN, open_session
 from crkr.server.tasks import ServedTask, Tasks
@@ -86,6 +87,7 @@ class Server:
         self._learning = Learning(self._learned, self._fit_when_due)
         self._due: dict[str, DueFit] = {}
         self._lanes: list[Lane[Any]] = []
+        self._refuser = Refuser()
         self._intakes: list[Intake] = []
         commits = self._wire()
         self.vitals = Vitals(
@@ -119,7 +121,7 @@ class Server:
 
         def intake(key: str, verbs: str, predict: Any = None) -> None:
             served = {verb: routes[verb] for verb in verbs.split()}
-            self._intakes.append(Intake(self._session, key, served, self._latencies, predict))
+            self._intakes.append(Intake(self._session, key, served, self._latencies, self._refuser, predict))
 
         intake(task_key("*", "*"), "predict report status model samples explain", predictor.answer)
         intake(rpc_key("*"), "info tasks create_task")
@@ -131,6 +133,7 @@ class Server:
         self._learning.start()
         for lane in self._lanes:
             lane.start()
+        self._refuser.start()
         for intake in self._intakes:
             intake.start()
         self._workers.watch(self._session)
@@ -166,6 +169,7 @@ class Server:
         self._fitting.stop()
         for lane in self._lanes:
             lane.close(max(0.05, deadline - time.monotonic()))
+        self._refuser.close(max(0.05, deadline - time.monotonic()))
         learned = self._learning.close(max(0.05, deadline - time.monotonic()))
         try:
             for task in self.tasks.all() if learned else ():  # learners are nobody's now

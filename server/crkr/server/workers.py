@@ -140,4 +140,4 @@ class Workers:
             entry.alive, entry.announced = stands, True
             entry.left = entry.left and not stands
             state = entry.state
-        logger.info("worker %s of task %s is %s", worker, task, state)
+        logger.info("worker %s of task %s: %s", worker, task, state)

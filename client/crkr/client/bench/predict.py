@@ -63,7 +63,7 @@ def _all(directory: Path) -> Iterator[Figure]:
         yield _in_flight(bare, echo, payload)
         yield _thousand(task)
         yield from _beside_reports(stack, client, task, echo, payload)
-        yield _beside_flood(stack, client, task)
+        yield from _beside_flood(stack, client, task, echo, payload)
 
 
 def _alone(task: Task, bare: Bare, echo: Bare, least: Bare, payload: bytes) -> Iterator[Figure]:
@@ -135,15 +135,21 @@ def _loaded(loads: list[Load], call: Callable[[], Any]) -> Array:
     return times
 
 
-def _beside_flood(stack: ExitStack, client: Client, task: Task) -> Figure:
-    """One client keeps 700 `explain` outstanding, more than the queue holds."""
+def _beside_flood(stack: ExitStack, client: Client, task: Task, echo: Bare, payload: bytes) -> Iterator[Figure]:
+    """One client keeps 700 `explain` outstanding, more than the queue holds; the echo is measured beside as many."""
     state = workload.states(1)[0]
     flood = stack.enter_context(loading(client.endpoint, workload.key("explain"), "explain", _FLOOD, 0))
-    idle, busy = [], []
+    other = stack.enter_context(loading(stack.enter_context(echoing(_RECEIPT)), KEY, "explain", _FLOOD, 0))
+    idle, busy, echo_idle, echo_busy = [], [], [], []
     for _ in range(6):
         idle.append(spell(lambda: task.predict(state), 1000))
         busy.append(_loaded([flood], lambda: task.predict(state)))
+        echo_idle.append(spell(lambda: echo.ask(payload), 1000))
+        echo_busy.append(_loaded([other], lambda: echo.ask(payload)))
     answered, refused = flood.stop()
     a, b = p99(np.concatenate(busy)), p99(np.concatenate(idle))
     behind = {"beside us": a, "idle us": b, "explained": answered, "refused": refused}
-    return Figure("predict p99 beside 700 explain outstanding / idle", a / b, 3.0, False, behind)
+    yield Figure("predict p99 beside 700 explain outstanding / idle", a / b, 3.0, False, behind)
+    a, b = p99(np.concatenate(echo_busy)), p99(np.concatenate(echo_idle))
+    what = "  echo p99 beside 700 outstanding to another / idle"
+    yield Figure(what, a / b, None, False, {"beside us": a, "idle us": b})

@@ -1,0 +1,62 @@
+"""Tells those who asked too much, at a measured pace.
+
+Who is refused asks again, and who is refused at once asks again at once: a client that keeps hundreds of questions
+outstanding would then occupy the server with refusals alone, and every other client's predictions with it.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from typing import Final, final
+
+from crkr.protocol import CrkrError
+from crkr.server.request import Request
+
+__all__ = ["Refuser"]
+
+_PAUSE_S: Final = 0.004  # between those told together
+_TOGETHER: Final = 4  # at least
+_PAUSES: Final = 100  # in which all are told who wait: a client that waits for BUSY hears it within its first attempt
+
+
+@final
+class Refuser:
+    """One thread that answers what was refused; any thread may add to it."""
+
+    def __init__(self) -> None:
+        self._waiting: deque[tuple[Request, CrkrError]] = deque()
+        self._changed = threading.Condition()
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="refusals", daemon=True)
+
+    def start(self) -> None:
+        """Begins to answer."""
+        self._thread.start()
+
+    def add(self, request: Request, error: CrkrError) -> None:
+        """Answers a request with this error before long."""
+        with self._changed:
+            self._waiting.append((request, error))
+            self._changed.notify()
+
+    def close(self, patience_s: float) -> None:
+        """Answers all that wait, for `patience_s` at most, and ends."""
+        self._closing.set()
+        with self._changed:
+            self._changed.notify()
+        if self._thread.is_alive():
+            self._thread.join(patience_s)
+
+    def _run(self) -> None:
+        while batch := self._take():
+            for request, error in batch:
+                request.fail(error)
+            self._closing.wait(_PAUSE_S)
+
+    def _take(self) -> list[tuple[Request, CrkrError]]:
+        with self._changed:
+            while not (self._waiting or self._closing.is_set()):
+                self._changed.wait()
+            waiting = len(self._waiting)
+            return [self._waiting.popleft() for _ in range(min(waiting, max(_TOGETHER, waiting // _PAUSES)))]

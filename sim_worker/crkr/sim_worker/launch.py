@@ -69,7 +69,9 @@ def _wait_for_server(client: Client, patience_s: float, say: Callable[[str], Non
 
 
 def _demonstrate(plan: LaunchPlan, task: Task, skill: Skill, say: Callable[[str], None]) -> int:
-    added = record_demonstrations(task, skill, plan.demonstrations, demonstration_rng(plan.seed), f"{_name()}-demo")
+    worker = f"{_name()}-demo"
+    with task.announce(worker):  # a worker like others, which leaves when it has shown what it can
+        added = record_demonstrations(task, skill, plan.demonstrations, demonstration_rng(plan.seed), worker)
     if added:
         say(f"recorded {added} demonstrations")
     if not task.status()["active"]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -12,6 +12,8 @@ from crkr.protocol.codec import Array
 from crkr.protocol.errors import Invalid
 
 __all__ = ["choice", "depth", "entries", "finite_array", "flag", "integer", "number", "required", "text"]
+
+_SHORT: Final = 64
 
 
 def required(message: Mapping[str, Any], field: str) -> Any:
@@ -61,7 +63,8 @@ def finite_array(value: object, name: str, shape: tuple[int | None, ...], *, all
     """
     if type(value) is np.ndarray and value.shape == shape and len(shape) == 1 and value.dtype == np.float64:
         vector: Array = value.copy()
-        if np.isfinite(vector).all():  # by far the commonest case takes no further check
+        # By far the commonest case. A sum of floats that is finite has finite parts, and takes a fifth of numpy's time.
+        if math.isfinite(sum(vector.tolist())) if len(vector) <= _SHORT else np.isfinite(vector).all():
             vector.setflags(write=False)
             return vector
     try:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any
 from uuid import UUID, uuid4
 
@@ -202,6 +202,16 @@ def test_a_task_without_outcomes_draws_as_documented(make_spec: MakeSpec) -> Non
     assert answer.goals.tobytes() == expected.tobytes()
     assert answer.corrected is None
     assert answer.predicted_outcome_sd is None
+
+
+def test_every_array_of_an_answer_is_read_only(guided: Callable[..., TaskSpec]) -> None:
+    model = taught(guided()).model
+    for states, explore in ((STATES, False), (STATES[0], False), (STATES, True), (STATES[0], True)):
+        answer = model.predict(states, explore, IDS[: 1 if states.ndim == 1 else 40])
+        arrays = [getattr(answer, field.name) for field in fields(answer)]
+        found = [array for array in arrays if isinstance(array, np.ndarray)]
+        assert len(found) == 8
+        assert not any(array.flags.writeable for array in found)
 
 
 def test_a_batch_is_its_states_one_by_one(guided: Callable[..., TaskSpec]) -> None:

@@ -130,13 +130,12 @@ class Model:
             goals, corrected, outcome, deviation = self.explorer.draw(states, means, sigmas, ids)
         else:
             goals, corrected, outcome, deviation = self.explorer.best(states, means, sigmas)
-        for array in (goals, means, sigmas, novelty):
-            array.setflags(write=False)
+        for array in (goals, means, sigmas, novelty, corrected, outcome, deviation):
+            if array is not None:
+                array.setflags(write=False)
         policy = "explore" if explore else "mean"
-        if corrected is not None:
-            if corrected.any():
-                policy = "corrected"
-            corrected.setflags(write=False)
+        if corrected is not None and corrected.any():
+            policy = "corrected"
         return Prediction(
             states, goals, means, sigmas, novelty, ids, self.version, len(self.ids), policy, outcome, deviation,
             corrected=corrected,

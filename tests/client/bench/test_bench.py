@@ -58,6 +58,17 @@ def test_a_load_reports_what_the_server_stores_and_only_while_it_is_told_to(tmp_
     assert status["active"] == 40  # what the load reports is not learned from
 
 
+def test_a_load_that_gets_no_answers_gives_no_numbers() -> None:
+    def load_nobody() -> None:
+        with echoing(8) as endpoint, loading(endpoint, "bench/nobody", "explain", 4, 0) as load:
+            while True:  # the pytest timeout is the deadline
+                load.go()
+                load.stop()
+
+    with pytest.raises(Unavailable, match="ended before it was told to"):
+        load_nobody()
+
+
 def test_a_server_that_cannot_start_is_noticed_at_once_and_its_reason_told(tmp_path: Path) -> None:
     (tmp_path / "data").write_text("a file where the folder should be")
     reason = r"ended with status 1: data directory \S+ cannot be written"

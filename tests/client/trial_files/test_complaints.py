@@ -74,6 +74,8 @@ def test_a_file_of_a_spreadsheet_is_read(tmp_path: Path, layout: Layout) -> None
         ("trial,1,", "trial,yes,", "row 2, column 'success'"),
         ("state.x", "state.z", "column 'state.x' is missing; there are: id, kind"),
         ("outcome.m", "outcome.n", "column 'outcome.n' is no coordinate of task 't'"),
+        ("outcome.m", "cost", "column 'cost' comes twice"),
+        ("outcome.m", "z" * 200_000, "it cannot be read: field larger than"),
         (GOOD, "", "column 'id' is missing; there are: none"),
     ],
 )
@@ -84,6 +86,13 @@ def test_a_bad_row_of_a_csv_is_named(tmp_path: Path, layout: Layout, old: str, n
     with pytest.raises(Invalid, match=complaint) as caught:
         rows(path, layout)
     assert caught.value.message.startswith(f"{path}: ")
+
+
+def test_a_bad_value_is_found_beside_columns_that_mean_nothing_here(tmp_path: Path, layout: Layout) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join(f"note,{line}" for line in GOOD.replace("0.25", "much").split("\n")))
+    with pytest.raises(Invalid, match=r"row 2, column 'cost': .*much"):
+        rows(path, layout)
 
 
 def parquet(path: Path, **changes: Any) -> None:
@@ -114,6 +123,25 @@ def test_a_bad_value_of_a_parquet_file_is_refused(
     path = tmp_path / "a.parquet"
     parquet(path, **{column: value})
     with pytest.raises(Invalid, match=complaint):
+        rows(path, layout)
+
+
+def test_a_parquet_file_with_a_column_twice_is_refused(tmp_path: Path, layout: Layout) -> None:
+    path = tmp_path / "a.parquet"
+    parquet(path)
+    table = pyarrow.parquet.read_table(path)
+    pyarrow.parquet.write_table(table.append_column("cost", [[0.75]]), path)
+    with pytest.raises(Invalid, match="column 'cost' comes twice"):
+        rows(path, layout)
+
+
+def test_a_parquet_file_that_was_damaged_is_refused(tmp_path: Path, layout: Layout) -> None:
+    path = tmp_path / "a.parquet"
+    parquet(path, kind=["no kind at all" * 9])
+    data = path.read_bytes()
+    start = data.index(b"no kind at all") - 4  # the length of the text that follows
+    path.write_bytes(data[:start] + b"\xff\xff\xff\x7f" + data[start + 4 :])
+    with pytest.raises(Invalid, match=f"^{path}: it cannot be read"):
         rows(path, layout)
 
 
@@ -149,6 +177,9 @@ def arrays(**changes: Any) -> dict[str, Any]:
         ({"goal": np.array([[1.0], [9.0]])}, "row 2: goal 'a' must be in"),
         ({"info": np.frombuffer(b"{}\n", np.uint8)}, "info must have one line for each of 2 trials; got 1"),
         ({"info": np.frombuffer(b"\n[1]\n", np.uint8)}, "row 2: info must be a JSON object"),
+        ({"outcome_given": np.array([True])}, r"one row for each of the ids; got outcome_given \(1,\)"),
+        ({"removed": np.array(["False", "False"])}, "row 1: removed must be true or false; got 'False'"),
+        ({"removed": np.array([False, np.nan])}, "row 1: removed must be true or false"),
         ({"kind": np.array([object(), "trial"])}, "it is not npz: .*allow_pickle"),
     ],
 )

@@ -35,7 +35,7 @@ def main(endpoint: str, key: str, kind: str, width: int, seed: int) -> None:
                 replies = [bare.send(payload) for payload in payloads]
                 for reply in replies:
                     counts[reply.recv().ok is None] += 1
-            except zenoh.ZError:  # nobody is there to be loaded any more; who measures says so
+            except zenoh.ZError:  # nobody is there to be loaded any more; the next `stop` gets no numbers
                 return
 
     with Bare(endpoint, key) as bare:
@@ -48,6 +48,8 @@ def main(endpoint: str, key: str, kind: str, width: int, seed: int) -> None:
                 running.set()
                 continue
             running.clear()
+            if not thread.is_alive():  # what was measured lately was not loaded: no numbers, and the other end says so
+                return
             sys.stdout.write(f"{counts[0]} {counts[1]}\n")
             sys.stdout.flush()
         ended.set()

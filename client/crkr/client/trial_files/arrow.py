@@ -74,13 +74,13 @@ def csv_source(path: Path, layout: Layout) -> tuple[int, Iterator[Mapping[str, A
     Raises:
         Invalid: Not CSV, columns of other names, or a value of another type; the message names row and column.
     """
-    with path.open(newline="", encoding="utf-8-sig", errors="replace") as file:
+    with path.open(newline="", encoding="utf-8-sig", errors="replace") as file, _complaints():
         names = next(csv.reader(file), [])
     layout.check(names)
     wanted = [name for name in names if name in layout.types]
     # A whole number may be written 3.0: spreadsheets do where a column has gaps.
     types = {name: _TYPES["float" if layout.types[name] == "int" else layout.types[name]] for name in wanted}
-    with _complaints(wanted):
+    with _complaints(names):
         table = pa.csv.read_csv(
             path,
             read_options=pa.csv.ReadOptions(use_threads=False),  # or it would not tell the row of an error
@@ -98,9 +98,19 @@ def csv_source(path: Path, layout: Layout) -> tuple[int, Iterator[Mapping[str, A
 
 @contextmanager
 def _complaints(columns: Sequence[str] = ()) -> Iterator[None]:
-    """Turns pyarrow's errors into `Invalid`; its rows count the header."""
+    """Turns complaints about a file's content into `Invalid`.
+
+    Args:
+        columns: All that the file has, which is how pyarrow counts them; its rows count the header.
+    """
     try:
         yield
+    except OSError as error:
+        if error.errno is not None:  # of the disk, not of what is in the file
+            raise
+        raise Invalid(f"it cannot be read: {error}") from error
+    except csv.Error as error:
+        raise Invalid(f"it cannot be read: {error}") from error
     except (pa.ArrowInvalid, pa.ArrowTypeError, pa.ArrowNotImplementedError) as error:
         found = _PLACE.match(str(error))
         if found is None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, Literal, final
@@ -10,6 +11,7 @@ from uuid import UUID
 
 from crkr.client.trial_files.info_json import info_from_json, info_to_json
 from crkr.protocol import Invalid, StoredTrial, TaskSpec, Trial
+from crkr.protocol.checks import flag
 
 __all__ = ["ColumnType", "FileRow", "Layout"]
 
@@ -67,11 +69,14 @@ class Layout:
         """Looks at a file's columns; those that mean nothing here are ignored.
 
         Raises:
-            Invalid: One is missing, or there are coordinates that the task has not.
+            Invalid: One is missing or comes twice, or there are coordinates that the task has not.
         """
         missing = [name for name in (*_REQUIRED, *self.state, *self.goal) if name not in found]
         if missing:
             raise Invalid(f"column {missing[0]!r} is missing; there are: {', '.join(found) or 'none'}")
+        twice = [name for name, times in Counter(list(found)).items() if times > 1 and name in self.types]
+        if twice:
+            raise Invalid(f"column {twice[0]!r} comes twice; leave one out")
         for name in found:
             if name.startswith(("state.", "goal.", "outcome.")) and name not in self.types:
                 raise Invalid(f"column {name!r} is no coordinate of task {self.spec.name!r}")
@@ -102,7 +107,8 @@ class Layout:
             Invalid: A value that no trial of the task can have; the message names the row.
         """
         try:
-            return FileRow(number, self._trial(values), bool(values.get("removed")))
+            removed = values.get("removed")
+            return FileRow(number, self._trial(values), removed is not None and flag(removed, "removed"))
         except Invalid as error:
             raise Invalid(f"row {number}: {error.message}", details={**error.details, "row": number}) from error
 

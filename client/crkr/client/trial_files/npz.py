@@ -71,7 +71,8 @@ def npz_source(path: Path, layout: Layout) -> tuple[int, Iterator[Mapping[str, A
         columns |= _split(group, names, arrays)
     layout.check(columns)
     count = len(columns["id"]) if columns["id"].ndim == 1 else -1
-    odd = [f"{name} {column.shape}" for name, column in columns.items() if column.shape != (count,)]
+    given = {name: arrays[name] for name in ("outcome_given",) if name in arrays}
+    odd = [f"{name} {column.shape}" for name, column in (columns | given).items() if column.shape != (count,)]
     if odd:
         raise Invalid(f"every array must have one row for each of the ids; got {', '.join(odd)}")
     infos = _infos(arrays, count)

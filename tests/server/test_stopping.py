@@ -103,6 +103,20 @@ def test_all_for_whom_there_was_no_room_are_told_so_before_the_end(
     assert {code(replies.recv()) for replies in waiting} == {"BUSY"}
 
 
+def test_who_is_refused_after_the_last_was_told_so_is_told_so_too(
+    router: tuple[zenoh.Session, str], plain: Callable[[str], zenoh.Session]
+) -> None:
+    session, endpoint = router
+    key = task_key("reach", "explain")
+    queries = session.declare_queryable(key, zenoh.handlers.FifoChannel(1), complete=True)
+    refuser = Refuser()
+    refuser.start()
+    refuser.close(10.0)
+    replies = plain(endpoint).get(key, zenoh.handlers.FifoChannel(1), timeout=10.0)
+    refuser.add(Request(queries.recv(), Latencies()), busy("explain"))
+    assert code(replies.recv()) == "BUSY"
+
+
 @pytest.mark.parametrize("verb", ["predict", "samples"])
 def test_a_defect_is_answered_as_internal_and_the_server_goes_on(
     router: tuple[zenoh.Session, str], connect: Callable[[str], Ask], verb: str

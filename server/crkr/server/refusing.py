@@ -6,6 +6,7 @@ outstanding would then occupy the server with refusals alone, and every other cl
 
 from __future__ import annotations
 
+import math
 import threading
 from collections import deque
 from typing import Final, final
@@ -17,7 +18,7 @@ __all__ = ["Refuser"]
 
 _PAUSE_S: Final = 0.004  # between those told together
 _TOGETHER: Final = 4  # at least
-_PAUSES: Final = 100  # in which all are told who wait: a client that waits for BUSY hears it within its first attempt
+_PAUSES: Final = 80  # in which all are told who wait: a client that waits for BUSY hears it within its first attempt
 
 
 @final
@@ -26,6 +27,9 @@ class Refuser:
 
     def __init__(self) -> None:
         self._waiting: deque[tuple[Request, CrkrError]] = deque()
+        self._most = (
+            0  # that waited at a time since last nobody did; it sets the pace, or the last of many would wait long
+        )
         self._changed = threading.Condition()
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._run, name="refusals", daemon=True)
@@ -35,10 +39,14 @@ class Refuser:
         self._thread.start()
 
     def add(self, request: Request, error: CrkrError) -> None:
-        """Answers a request with this error before long."""
+        """Answers a request with this error before long; at once where the thread may have ended."""
         with self._changed:
-            self._waiting.append((request, error))
-            self._changed.notify()
+            if not self._closing.is_set():
+                self._waiting.append((request, error))
+                self._most = max(self._most, len(self._waiting))
+                self._changed.notify()
+                return
+        request.fail(error)
 
     def close(self, patience_s: float) -> None:
         """Answers all that wait, for `patience_s` at most, and ends."""
@@ -58,5 +66,8 @@ class Refuser:
         with self._changed:
             while not (self._waiting or self._closing.is_set()):
                 self._changed.wait()
-            waiting = len(self._waiting)
-            return [self._waiting.popleft() for _ in range(min(waiting, max(_TOGETHER, waiting // _PAUSES)))]
+            together = max(_TOGETHER, math.ceil(self._most / _PAUSES))
+            batch = [self._waiting.popleft() for _ in range(min(len(self._waiting), together))]
+            if not self._waiting:
+                self._most = 0
+            return batch

@@ -1,5 +1,7 @@
 """Films hold the frames that went in, read back by the libraries themselves."""
 
+import weakref
+from collections.abc import Iterator
 from fractions import Fraction
 from pathlib import Path
 
@@ -53,6 +55,22 @@ def test_a_gif_has_every_frame_at_the_rate_and_repeats(frames: list[Picture], tm
             shown.append(np.asarray(film.convert("RGB")))
         assert film.info["loop"] == 0
     _alike(shown, frames)
+
+
+def test_an_mp4_is_written_as_its_frames_are_drawn_and_none_is_kept(tmp_path: Path) -> None:
+    drawn: list[weakref.ref[Picture]] = []
+    kept: list[int] = []
+
+    def frames() -> Iterator[Picture]:
+        for grey in range(50):
+            kept.append(sum(one() is not None for one in drawn))
+            picture = np.full((48, 64, 3), grey, dtype=np.uint8)
+            drawn.append(weakref.ref(picture))
+            yield picture
+
+    save_film(frames(), tmp_path / "film.mp4", RATE)
+    assert len(drawn) == 50
+    assert max(kept) < 10
 
 
 @pytest.mark.parametrize(

@@ -139,6 +139,15 @@ def test_the_endpoint_ends_with_the_server_and_only_loopback_is_listened_on(
     assert "Traceback" not in server.log.read_text()
 
 
+def test_a_file_that_vanishes_while_they_are_counted_costs_no_scrape(
+    start_server: Callable[..., Any], metrics_port: int
+) -> None:
+    server = start_server("--metrics", str(metrics_port))
+    (server.data / "backup.sqlite3.partial").symlink_to(server.data / "gone")
+    assert value(scraped(metrics_port), "crkr_log_bytes") > 0
+    assert "Traceback" not in server.log.read_text()
+
+
 def test_the_operators_page_lists_every_metric_and_no_other(
     start_server: Callable[..., Any], metrics_port: int, connect: Connect, reach: dict[str, Any]
 ) -> None:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
+from contextlib import suppress
 from importlib.metadata import version
 from typing import Final, final
 
@@ -104,7 +105,10 @@ class VitalsCollector(Collector):
         yield from (workers, trials)
 
     def _disk(self) -> Iterator[Metric]:
-        stored = sum(path.stat().st_size for path in self._vitals.data.glob("*.sqlite3*"))
+        stored = 0
+        for path in self._vitals.data.glob("*.sqlite3*"):
+            with suppress(FileNotFoundError):  # a backup that is being made, or SQLite's own at the end
+                stored += path.stat().st_size
         yield GaugeMetricFamily("crkr_log_bytes", "Size of the task log's files.", stored)
         disk = os.statvfs(self._vitals.data)
         yield GaugeMetricFamily("crkr_disk_free_bytes", "Room for the task log.", disk.f_bavail * disk.f_frsize)

@@ -131,7 +131,7 @@ def _count(message: Mapping[str, Any]) -> int:
     states = message.get("states")
     if type(states) is dict:
         shape = states.get("shape")
-        return shape[0] if type(shape) is list and len(shape) == 2 and type(shape[0]) is int else 1
+        return max(1, shape[0]) if type(shape) is list and len(shape) == 2 and type(shape[0]) is int else 1
     return len(states) if type(states) is list and states and type(states[0]) is list else 1
 
 

@@ -8,7 +8,6 @@ handing them over would cost as much. The others wait in a lane.
 from __future__ import annotations
 
 import logging
-import threading
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, final
 
@@ -18,6 +17,7 @@ from crkr.protocol import CrkrError, Internal, Unsupported
 from crkr.server.lane import Lane, busy, shutting_down
 from crkr.server.latency import OTHER_VERB, Latencies
 from crkr.server.refusing import Refuser
+from crkr.server.relay import Relay
 from crkr.server.request import Request, refuse
 from crkr.server.turns import Turns
 
@@ -55,11 +55,11 @@ class Intake:
         self._waiting = Turns()
         self._stopping = False
         self._queries = session.declare_queryable(key, zenoh.handlers.FifoChannel(_CHANNEL), complete=True)
-        self._thread = threading.Thread(target=self._run, name=f"intake {key}", daemon=True)
+        self._relay = Relay(self._run, f"intake {key}")
 
     def start(self) -> None:
         """Begins to take queries."""
-        self._thread.start()
+        self._relay.start()
 
     def stop(self) -> None:
         """From now on every query is answered with SHUTTING_DOWN; the thread ends with the session."""
@@ -67,16 +67,16 @@ class Intake:
 
     def join(self, patience_s: float) -> None:
         """Waits for the thread's end, after the session was closed."""
-        if self._thread.is_alive():
-            self._thread.join(patience_s)
+        self._relay.join(patience_s)
 
-    def _run(self) -> None:
+    def _run(self, turn: int) -> None:
         try:
-            while True:
+            on_duty = True
+            while on_duty:
                 if not self._waiting:
                     self._route(self._queries.recv())
                 self._drain()
-                self._answer()
+                on_duty = self._answer(turn)
         except zenoh.ZError:  # the session is closed
             for request in self._waiting.take(len(self._waiting)):
                 request.fail(shutting_down())
@@ -89,19 +89,25 @@ class Intake:
                 return
             self._route(query)
 
-    def _answer(self) -> None:
+    def _answer(self, turn: int) -> bool:
+        """Answers predictions; False where that took so long that another thread took over."""
         if not self._waiting or self._predict is None:
-            return
+            return True
         batch = self._waiting.take(_BATCH)
+        self._relay.begin(turn)
+        left: Sequence[Request] = ()
         try:
             left = self._predict(batch)
-            self._waiting.put_back([request for request in left if not request.patient])
-            for request in left:
-                if request.patient:
-                    self._hand_over(request)
         except Exception as error:
             for request in batch:
                 request.fail_unexpectedly(error)
+        on_duty = self._relay.end(turn)
+        if on_duty:
+            self._waiting.put_back([request for request in left if not request.patient])
+        for request in left:
+            if request.patient or not on_duty:
+                self._hand_over(request)
+        return on_duty
 
     def _route(self, query: zenoh.Query) -> None:
         """Whatever the query is, it is answered or queued, and this thread lives on."""

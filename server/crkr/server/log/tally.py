@@ -49,8 +49,9 @@ class Tally:
             logger.warning("the number of acknowledged log positions was not kept: %s", error.strerror)
 
     def close(self) -> None:
-        """Lets go of the file."""
-        os.close(self._file)
+        """Lets go of the file; a later number is not kept, least of all in the next file of the same descriptor."""
+        file, self._file = self._file, -1
+        os.close(file)
 
 
 def read_tally(directory: Path) -> int:

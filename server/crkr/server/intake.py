@@ -106,7 +106,10 @@ class Intake:
             self._waiting.put_back([request for request in left if not request.patient])
         for request in left:
             if request.patient or not on_duty:
-                self._hand_over(request)
+                try:
+                    self._hand_over(request)
+                except CrkrError as error:
+                    request.fail(error)
         return on_duty
 
     def _route(self, query: zenoh.Query) -> None:

@@ -1,8 +1,9 @@
 """Takes queries off Zenoh as they come: answers predictions itself, queues all else, refuses what is too much.
 
-Zenoh's receiving threads only ever put a query into a deep channel. One thread here drains it, so no client can make
-the server deaf to the others. Predictions that take little work are answered on this very thread, tasks in turn, as
-handing them over would cost as much. The others wait in a lane.
+Zenoh's receiving threads only ever put a query into a deep channel. One thread at a time drains it here, so no client
+can make the server deaf to the others. Predictions that take little work are answered on this very thread, tasks in
+turn, as handing them over would cost as much; where one of those asked does not read, another thread takes over. All
+else waits in a lane.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ _SMALL: Final = 4096  # bytes; a larger predict is not even looked at here
 
 @final
 class Intake:
-    """One queryable and the thread that drains it.
+    """One queryable and the threads that drain it, one at a time.
 
     Args:
         lanes: verb -> where its requests go.

@@ -27,9 +27,8 @@ class Refuser:
 
     def __init__(self) -> None:
         self._waiting: deque[tuple[Request, CrkrError]] = deque()
-        self._most = (
-            0  # that waited at a time since last nobody did; it sets the pace, or the last of many would wait long
-        )
+        # That waited at a time since last nobody did. It sets the pace, or the last of many would wait long.
+        self._most = 0
         self._changed = threading.Condition()
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._run, name="refusals", daemon=True)

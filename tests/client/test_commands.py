@@ -97,6 +97,32 @@ def test_a_bad_specification_file_is_refused_with_the_reason(run: Run, tmp_path:
     assert message in run("create", str(path), status=1).stderr
 
 
+def test_a_specification_is_written_without_a_server_and_read_back_the_same(
+    run: Run, task: str, tmp_path: Path, shared_endpoint: str
+) -> None:
+    written = tmp_path / "throw.json"
+    words = ["create", str(tmp_path / "throw.toml"), "--write", str(written), "--connect", "tcp/127.0.0.1:1"]
+    result = CliRunner().invoke(build(words), words)
+    assert result.exit_code == 0, result.stderr
+    assert f"crkr create {written}" in result.stdout
+    assert run("create", str(tmp_path / "throw.toml"), "--write", "-").stdout == written.read_text()
+    with Client(shared_endpoint) as client:
+        assert json.loads(written.read_text()) == client.task(task).spec.to_dict()
+    assert data(run("create", str(written), "--json")) == {"name": task, "created": False}
+    written.write_text(written.read_text() + "?")
+    assert "is not JSON" in run("create", str(written), status=1).stderr
+
+
+@pytest.mark.parametrize(("name", "message"), [("throw.toml", "is written as JSON"), ("here.json", "is there already")])
+def test_an_edited_file_is_not_written_over(run: Run, tmp_path: Path, name: str, message: str) -> None:
+    source, target = tmp_path / "throw.toml", tmp_path / name
+    source.write_text(SPEC.format(name="throw"))
+    target.touch()
+    before = target.read_bytes()
+    assert message in run("create", str(source), "--write", str(target), status=1).stderr
+    assert target.read_bytes() == before
+
+
 def test_a_prediction_is_printed_by_name_and_as_json(run: Run, task: str) -> None:
     shown = run("predict", task, "--state", "1.5").stdout
     assert "speed  3" in shown
@@ -211,6 +237,8 @@ def test_an_archived_task_is_listed_as_such(run: Run, task: str, shared_endpoint
         ("recost", ["throw", "12"], "UUID"),
         ("recost", ["throw", f"{UUID(int=1)}=much"], "ID=COST"),
         ("configure", ["throw", "budget"], "KEY=VALUE"),
+        ("create", [], "--skill"),
+        ("create", [__file__, "--preset", "tuned"], "--skill"),
         ("predict", ["throw"], "--state"),
         ("status", ["--timeout", "0"], "--timeout"),
     ],

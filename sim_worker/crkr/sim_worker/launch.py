@@ -39,7 +39,7 @@ def launch(plan: LaunchPlan, say: Callable[[str], None], show: Callable[[int, st
     skill = load_skill(plan.skill, plan.options)
     with Client(plan.endpoint, timeout_s=plan.timeout_s, zenoh_config=plan.zenoh_config) as client:
         _wait_for_server(client, plan.patience_s, say)
-        task = create_or_join(client, skill.spec(), say)
+        task = create_or_join(client, skill.spec(), say, its_settings=plan.options.preset is None)
         added = _demonstrate(plan, task, skill, say)
         status = task.status()
         trained, identity = training_trials(status), Identity(_name(), plan.seed, int(status["seq"]))

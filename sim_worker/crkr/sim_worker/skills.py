@@ -8,10 +8,10 @@ import sys
 from importlib.metadata import entry_points
 from typing import Any, Final
 
-from crkr.protocol import Invalid
+from crkr.protocol import Invalid, TaskSpec
 from crkr.sim_worker.skill import Skill, SkillOptions
 
-__all__ = ["GROUP", "check_skill", "installed_skills", "load_skill"]
+__all__ = ["GROUP", "check_skill", "installed_skills", "load_skill", "specification"]
 
 GROUP: Final = "crkr.skills"
 
@@ -47,6 +47,16 @@ def load_skill(name: str, options: SkillOptions) -> Skill:
     factory = _from_module(name) if ":" in name else _from_entry_point(name)
     skill: Skill = factory(options)
     return skill
+
+
+def specification(skill: str, /, **options: Any) -> TaskSpec:
+    """What a skill made with these `SkillOptions` learns under; `crkr create` finds it by its entry point.
+
+    Raises:
+        Invalid: No such skill, or an option that it does not know.
+        ModuleNotFoundError: A library that the skill needs is not installed.
+    """
+    return load_skill(skill, SkillOptions(**options)).spec()
 
 
 def _from_entry_point(name: str) -> Any:

@@ -2,44 +2,85 @@
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from crkr.client import Client
+from crkr.client.commands.spec_files import STANDARD_OUTPUT, read_spec, skill_spec, write_spec
 from crkr.client.console import print_json, print_table, stdout
 from crkr.client.options import Connect, Json, Timeout, ZenohConfig
-from crkr.protocol import Invalid, TaskSpec
+from crkr.protocol import TaskSpec
 
 __all__ = ["create", "tasks"]
 
+_OF_A_SKILL = "Of a skill"
+
 
 def create(
-    spec: Annotated[Path, typer.Argument(exists=True, dir_okay=False, metavar="SPEC.toml", help="What to learn.")],
+    spec: Annotated[
+        Path | None, typer.Argument(exists=True, dir_okay=False, metavar="SPEC.toml", help="What to learn; or .json.")
+    ] = None,
+    skill: Annotated[
+        str | None,
+        typer.Option(help="Take a skill's own specification, or package.module:factory.", rich_help_panel=_OF_A_SKILL),
+    ] = None,
+    preset: Annotated[
+        str | None, typer.Option(help="Which of the skill's, e.g. tuned.", rich_help_panel=_OF_A_SKILL)
+    ] = None,
+    launcher: Annotated[
+        str | None, typer.Option(help="Where contexts come from, e.g. nominal.", rich_help_panel=_OF_A_SKILL)
+    ] = None,
+    environment: Annotated[
+        str | None, typer.Option(help="Which simulator, e.g. contact.", rich_help_panel=_OF_A_SKILL)
+    ] = None,
+    task: Annotated[
+        str | None, typer.Option(help="Name of the task; the skill's own unless given.", rich_help_panel=_OF_A_SKILL)
+    ] = None,
+    seed: Annotated[
+        int | None, typer.Option(min=0, max=2**31 - 1, help="Of exploration; 0.", rich_help_panel=_OF_A_SKILL)
+    ] = None,
+    write: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.json", help="Only write the specification, to edit it; - prints. Needs no server."),
+    ] = None,
     connect: Connect = None,
     timeout: Timeout = 5.0,
     zenoh_config: ZenohConfig = None,
     as_json: Json = False,
 ) -> None:
-    """Make a task from a specification file; the same file again changes nothing.
+    """Make a task, from a specification file or a skill; the same again changes nothing.
 
     Example: crkr create examples/throw.toml
 
     That file shows the least that one needs: name, unit, low and high of every coordinate of state and goal.
+    A skill's, to look at or to edit: crkr create --skill table-tennis --preset tuned --write spec.json
     """
-    try:
-        checked = TaskSpec.from_dict(tomllib.loads(spec.read_text()), strict=True)
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise Invalid(f"{spec} is not TOML: {error}") from error
+    options = {"environment": environment, "launcher": launcher, "preset": preset, "name": task, "seed": seed}
+    given = {name: value for name, value in options.items() if value is not None}
+    if (spec is None) == (skill is None):
+        raise typer.BadParameter("give a specification file or --skill, one of them")
+    if spec is not None and given:
+        raise typer.BadParameter("a file says all; the options of a skill are for --skill")
+    checked = read_spec(spec) if spec is not None else skill_spec(str(skill), **given)
+    if write is not None:
+        write_spec(checked, write)
+        if as_json and write != STANDARD_OUTPUT:
+            print_json({"name": checked.name, "written": str(write)})
+        elif write != STANDARD_OUTPUT:
+            stdout.print(f"wrote {write}: {_what(checked)}; edit it, then: crkr create {write}")
+        return
     with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
         created = client.create_task(checked).created
     if as_json:
         print_json({"name": checked.name, "created": created})
     else:
-        what = "created" if created else "exists already:"
-        stdout.print(f"{what} {checked.name} (R^{len(checked.state)} -> R^{len(checked.goal)})")
+        stdout.print(f"{'created' if created else 'exists already:'} {_what(checked)}")
+
+
+def _what(spec: TaskSpec) -> str:
+    return f"{spec.name} (R^{len(spec.state)} -> R^{len(spec.goal)})"
 
 
 def tasks(
@@ -54,7 +95,7 @@ def tasks(
     if as_json:
         print_json([{**entry, "spec": entry["spec"].to_dict()} for entry in found])
     elif not found:
-        stdout.print("no tasks yet; make one with `crkr create SPEC.toml`")
+        stdout.print("no tasks yet; make one with `crkr create`")
     else:
         print_table(
             ("task", "states", "goals", "samples", "active", "version", ""),

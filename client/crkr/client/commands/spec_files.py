@@ -1,0 +1,84 @@
+"""A task's specification as a file that people edit: TOML or JSON to read, JSON to write."""
+
+from __future__ import annotations
+
+import json
+import sys
+import tomllib
+from collections.abc import Iterator
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Any, Final
+
+from crkr.client.guard import reason_missing
+from crkr.protocol import Invalid, TaskSpec, Unsupported
+
+__all__ = ["STANDARD_OUTPUT", "read_spec", "skill_spec", "write_spec"]
+
+GROUP: Final = "crkr.specifications"
+"""Entry points of what knows a skill's specification; `skill` is called with its name and its options."""
+
+STANDARD_OUTPUT: Final = Path("-")
+
+
+def read_spec(path: Path) -> TaskSpec:
+    """Reads a file; one named .json is JSON, any other TOML.
+
+    Raises:
+        Invalid: It is neither, or no specification.
+    """
+    is_json = path.suffix == ".json"
+    try:
+        data = json.loads(path.read_text()) if is_json else tomllib.loads(path.read_text())
+    except (json.JSONDecodeError, tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise Invalid(f"{path} is not {'JSON' if is_json else 'TOML'}: {error}") from error
+    return TaskSpec.from_dict(data, strict=True)
+
+
+def skill_spec(skill: str, /, **options: Any) -> TaskSpec:
+    """Asks a skill for its specification.
+
+    Args:
+        skill: An installed skill's name, or "package.module:factory".
+        options: How it is to be set up: environment, launcher, preset, name, seed.
+
+    Raises:
+        Invalid: No such skill, or an option that it does not know.
+        Unsupported: A library that the skill needs is not installed.
+    """
+    found = list(entry_points(group=GROUP, name="skill"))
+    if not found:
+        raise Unsupported("this installation knows no skills: pip install 'crkr[sim]'")
+    try:
+        spec: TaskSpec = found[0].load()(skill, **options)
+    except ModuleNotFoundError as error:
+        raise Unsupported(reason_missing(error, "create --skill", found[0].module)) from error
+    return spec
+
+
+def write_spec(spec: TaskSpec, path: Path) -> None:
+    """Writes a specification with every default filled in, an axis a line; "-" is standard output.
+
+    Raises:
+        Invalid: The file is there already, or is not named .json.
+    """
+    text = "{\n" + ",\n".join(_fields(spec)) + "\n}\n"
+    if path == STANDARD_OUTPUT:
+        sys.stdout.write(text)
+        return
+    if path.suffix != ".json":
+        raise Invalid(f"a specification is written as JSON; name the file .json, not {path.name}")
+    try:
+        with path.open("x") as file:
+            file.write(text)
+    except FileExistsError as error:
+        raise Invalid(f"{path} is there already, perhaps edited; choose another name, or remove it") from error
+
+
+def _fields(spec: TaskSpec) -> Iterator[str]:
+    for name, value in spec.to_dict().items():
+        if isinstance(value, list) and value:
+            axes = ",\n".join(f"    {json.dumps(axis)}" for axis in value)
+            yield f'  "{name}": [\n{axes}\n  ]'
+        else:
+            yield f'  "{name}": {json.dumps(value)}'

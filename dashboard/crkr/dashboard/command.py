@@ -115,8 +115,8 @@ def _in_rerun(session: _Session, places: _Places, native: bool, save: Path | Non
 
     recording = Recording((places.bind, places.stream), save)
     try:
+        display = RerunDisplay(recording, session.task)  # before any viewer: it sends the layout first
         with _viewer(places, native) as viewer:
-            display = RerunDisplay(recording, session.task)
             feed = session.show(display, PICTURES_S, lambda: viewer.is_running)
             display.finish(feed.progress)
             if not (native or session.stop or viewer.is_running):

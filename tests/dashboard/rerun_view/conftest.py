@@ -1,5 +1,6 @@
 """Reads recordings back without any viewer."""
 
+import re
 import subprocess
 from collections.abc import Callable
 from importlib.util import find_spec
@@ -30,7 +31,7 @@ def read() -> Callable[[Path], Tables]:
     """Reads a verified recording: what was logged by entity."""
 
     def tables(path: Path) -> Tables:
-        verify(path)
+        rerun("verify", path)
         reader = RrdReader(str(path))
         (store,) = reader.recordings()
         assert store.application_id == "crkr"
@@ -42,11 +43,23 @@ def read() -> Callable[[Path], Tables]:
     return tables
 
 
-def verify(path: Path) -> None:
-    """Asks Rerun's own tool whether a file is complete."""
+@pytest.fixture
+def in_order() -> Callable[[Path], list[str]]:
+    """The entities of a file's chunks, the run's and the layout's, and "BlueprintActivationCommand", as they come."""
+    line = re.compile(r"^(?:Chunk\(.*\) with \d+ rows \(.*?\) - (?P<entity>\S+) - |(?P<command>Blueprint\w*)\()", re.M)
+
+    def entities(path: Path) -> list[str]:
+        return [found["entity"] or found["command"] for found in line.finditer(rerun("print", path))]
+
+    return entities
+
+
+def rerun(command: str, path: Path) -> str:
+    """What Rerun's own tool prints about a file that it finds nothing wrong with."""
     package = find_spec("rerun_cli")
     assert package is not None
     assert package.origin is not None
     tool = Path(package.origin).with_name("rerun")
-    checked = subprocess.run([tool, "rrd", "verify", path], capture_output=True, text=True, timeout=30, check=False)
-    assert checked.returncode == 0, checked.stderr
+    done = subprocess.run([tool, "rrd", command, path], capture_output=True, text=True, timeout=30, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout

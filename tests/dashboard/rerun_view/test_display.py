@@ -110,8 +110,8 @@ def test_the_log_says_how_evaluations_went_and_what_was_skipped(tables: dict[str
     assert any(line.startswith("skipped 1 unreadable") for line in lines)
 
 
-def test_a_run_that_is_over_at_once_leaves_its_layout_in_the_file(
-    recording: Recording, file: Path, stored: Make
+def test_the_layout_is_sent_before_any_data(
+    recording: Recording, file: Path, in_order: Callable[[Path], list[str]], stored: Make
 ) -> None:
     feed = Feed(display := RerunDisplay(recording, "crane"))
     now = time.monotonic()
@@ -120,3 +120,10 @@ def test_a_run_that_is_over_at_once_leaves_its_layout_in_the_file(
     display.finish(feed.progress)
     assert recording.close(5.0)
     assert [store.application_id for store in RrdReader(str(file)).blueprints()] == ["crkr"]
+    paths = in_order(file)
+    activated = paths.index("BlueprintActivationCommand")
+    assert "/viewport" in paths[:activated]
+    data = {"/cost/success", "/eye", "/learner/active", "/status", "/world"}
+    assert data <= set(paths[activated:])
+    assert not data & set(paths[:activated])
+    assert paths.count("BlueprintActivationCommand") == 1  # another would undo what a viewer's user has changed

@@ -149,10 +149,40 @@ def test_endless_workers_do_not_fill_the_stage(
     assert sum(name.endswith("/motion") for name in read(file)) == MAX_WORKERS
 
 
-def test_the_eye_sees_every_world_from_outside(stage: Stage, show: Show, recording: Recording) -> None:
-    for seq in range(1, 4):
+def seen(camera: list[Any], points: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+    """Points (n, 3) of the world, which lie ahead of a camera's newest pose, as tangents (n, 2) right and down."""
+    # Rerun's matrices are columns one after the other, and its cameras look along their z with y downwards.
+    turn = np.reshape(values(camera, "Transform3D:mat3x3")[-1], (3, 3)).T
+    local = (points - values(camera, "Transform3D:translation")[-1]) @ turn
+    assert (local[:, 2] > 0.0).all()
+    tangents: np.ndarray[Any, Any] = local[:, :2] / local[:, 2:]
+    return tangents
+
+
+@pytest.mark.parametrize("count", [1, 3, 9])
+def test_the_camera_has_every_world_in_sight(
+    stage: Stage, show: Show, recording: Recording, file: Path, read: Read, count: int
+) -> None:
+    for seq in range(1, count + 1):
         show(seq, worker=f"w{seq}")
-    position, target = stage.eye()
     assert recording.close(5.0)
-    assert position[2] > 1.0
-    assert np.linalg.norm(position - target) > 3.0
+    tables = read(file)
+    camera = tables["/eye"]
+    base = np.array([[x, y, 0.0] for x in (-2.0, 2.0) for y in (-1.0, 1.0)])  # the box that the crane stands on
+    focal = values(camera, "Pinhole:image_from_camera")[-1][4]
+    height = values(camera, "Pinhole:resolution")[-1][1]
+    for number in range(1, count + 1):
+        place = values(tables[f"/world/w{number}"], "Transform3D:translation")[-1]
+        right, down = seen(camera, base + place).T
+        assert (np.abs(down) < height / focal / 2).all()
+        assert (np.abs(right) < 1.5 * height / focal / 2).all()  # the view is wider than high
+    (_, up), (_, ground) = seen(camera, np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 0.0]]))
+    assert up < ground
+
+
+def test_there_is_a_camera_before_there_is_anything_to_see(
+    stage: Stage, recording: Recording, file: Path, read: Read
+) -> None:
+    del stage  # made, and told nothing
+    assert recording.close(5.0)
+    assert "/eye" in read(file)

@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from typing import Final
 
 import rerun.blueprint as rrb
 
-__all__ = ["arrangement"]
+__all__ = ["EYE", "arrangement"]
 
-PATHS_SHOWN = 30  # trials whose paths stay in view
+PATHS_SHOWN: Final = 30  # trials whose paths stay in view
+EYE: Final = "eye"  # the camera of the 3D view, outside of "world" and so no worker's name
 
 
-def arrangement(eye: tuple[Sequence[float], Sequence[float]] | None) -> rrb.Blueprint:
-    """The layout, with the 3D view seen from `eye` (position, target) [m]."""
+def arrangement() -> rrb.Blueprint:
+    """The layout. It knows nothing of the run and can be sent first: the 3D view follows a camera in the data."""
     return rrb.Blueprint(
         rrb.Vertical(
             rrb.Horizontal(
-                _scene(eye),
+                _scene(),
                 rrb.Vertical(_success(), rrb.Tabs(_cost(), _reasons(), active_tab=0), row_shares=[1, 1]),
                 column_shares=[1.3, 1],
             ),
@@ -38,21 +38,19 @@ def arrangement(eye: tuple[Sequence[float], Sequence[float]] | None) -> rrb.Blue
     )
 
 
-def _scene(eye: tuple[Sequence[float], Sequence[float]] | None) -> rrb.Spatial3DView:
-    controls: dict[str, Any] = {}
-    if eye is not None:
-        controls["eye_controls"] = rrb.EyeControls3D(position=eye[0], look_target=eye[1], eye_up=[0, 0, 1])
+def _scene() -> rrb.Spatial3DView:
     newest = rrb.TimeRangeBoundary.cursor_relative()
     return rrb.Spatial3DView(
         origin="world",
+        contents=["$origin/**", f"+ /{EYE}"],
         name=f"Robots: newest trial in real time, paths of the last {PATHS_SHOWN}",
         background=[16, 20, 28],
         line_grid=False,
+        eye_controls=rrb.EyeControls3D(tracking_entity=f"/{EYE}", eye_up=[0, 0, 1]),
         time_ranges=[
             rrb.VisibleTimeRange("trial", start=rrb.TimeRangeBoundary.cursor_relative(seq=-PATHS_SHOWN), end=newest),
             rrb.VisibleTimeRange("epoch", start=newest, end=newest),
         ],
-        **controls,
     )
 
 

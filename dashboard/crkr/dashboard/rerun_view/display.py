@@ -21,7 +21,6 @@ __all__ = ["RerunDisplay"]
 
 NUMBERS_EVERY_S: Final = 0.5  # small chunks cost a viewer far more than what they hold
 PAGES_EVERY_S: Final = 1.0
-WORKERS_PATIENCE_S: Final = 3.0  # the layout waits so long for more workers to appear, and for a scene
 
 
 @final
@@ -36,11 +35,10 @@ class RerunDisplay:
     def __init__(self, recording: Recording, task: str) -> None:
         self._recording = recording
         self._task = task
+        recording.layout(arrangement())  # first: a viewer that has data and no layout makes up one of its own
         self._stage = Stage(recording)
         self._curves = Curves(recording)
         self._status: Mapping[str, Any] = {}
-        self._arranged = False
-        self._arrange_at: float | None = None
         self._next_numbers = self._next_pages = 0.0
         self._pages: dict[str, str] = {}
         self._speed: deque[tuple[float, int]] = deque(maxlen=10)
@@ -78,7 +76,6 @@ class RerunDisplay:
 
     def tick(self, now: float, progress: Progress) -> None:
         """Sends what is due."""
-        self._arrange(now)
         self._stage.tick(now)
         if now >= self._next_numbers:
             self._next_numbers = now + NUMBERS_EVERY_S
@@ -90,23 +87,12 @@ class RerunDisplay:
 
     def finish(self, progress: Progress) -> None:
         """Sends everything that is still here."""
-        now = time.monotonic()
-        self._arrange_at = now  # a run may be over before the layout's patience is
-        self.tick(now, progress)
+        self.tick(time.monotonic(), progress)
         self._curves.flush(progress)
         self._write_pages(progress)
 
     def _note_times(self, progress: Progress) -> None:
         self._times = {"trial": progress.trials, "epoch": progress.epoch}
-
-    def _arrange(self, now: float) -> None:
-        """Once, when there is something to look at: a second time would undo what the viewer's user changed."""
-        if self._arranged or not (self._stage.has_scene or self._times["trial"]):
-            return
-        self._arrange_at = now + WORKERS_PATIENCE_S if self._arrange_at is None else self._arrange_at
-        if now >= self._arrange_at:
-            self._arranged = True
-            self._recording.layout(arrangement(self._stage.eye() if self._stage.has_scene else None))
 
     def _write_pages(self, progress: Progress) -> None:
         (start, before), (end, after) = self._speed[0], self._speed[-1]

@@ -1,15 +1,21 @@
-"""Where each worker's world stands, so that robots learn side by side."""
+"""Where each worker's world stands, so that robots learn side by side, and where they are seen from."""
 
 from __future__ import annotations
 
+from itertools import product
 from typing import Any, Final
 
 import numpy as np
 
-__all__ = ["eye", "offset"]
+__all__ = ["VIEW_ANGLE", "eye", "facing", "offset"]
 
 COLUMNS: Final = 4
 GAP: Final = 1.35  # distance of two worlds in widths
+VIEW_ANGLE: Final = 0.96  # from top to bottom [rad]: what Rerun's own cameras have
+HALF_HEIGHT: Final = float(np.tan(VIEW_ANGLE / 2))
+WIDER: Final = 1.5  # at least: a view's width over its height
+MARGIN: Final = 1.02
+ASIDE: Final = np.array([0.74, -0.42, 0.54]) / np.linalg.norm([0.74, -0.42, 0.54])  # from the worlds to the eye
 
 
 def offset(index: int, low: np.ndarray[Any, Any], high: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
@@ -21,9 +27,24 @@ def offset(index: int, low: np.ndarray[Any, Any], high: np.ndarray[Any, Any]) ->
 def eye(
     count: int, low: np.ndarray[Any, Any], high: np.ndarray[Any, Any]
 ) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
-    """A good place to see `count` worlds from: position and target (3,) [m]."""
-    last = offset(min(count, COLUMNS) - 1, low, high)
-    centre = (low + high + last) / 2
-    span = float(np.linalg.norm(high - low + last))
-    target = centre + np.array([0.02, -0.02, -0.02]) * span
-    return target + 0.74 * span * np.array([0.74, -0.42, 0.54]), target
+    """Where to see all of `count` worlds from `low` to `high` (3,) from: position and target (3,) [m]."""
+    places = np.array([offset(index, low, high) for index in range(count)])
+    ends = np.array([low + places.min(axis=0), high + places.max(axis=0)])
+    corners = np.array(list(product(*ends.T)))
+    target = ends.mean(axis=0)
+    right_down, forward = np.split((corners - target) @ facing(target + ASIDE, target), [2], axis=1)
+    # A corner is in sight from a distance d if right and down are below their tangents times (d + forward).
+    tangents = HALF_HEIGHT * np.array([WIDER, 1.0])
+    distance = float((np.abs(right_down) / tangents - forward).max())
+    return target + MARGIN * distance * ASIDE, target
+
+
+def facing(position: np.ndarray[Any, Any], target: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+    """Turns (3, 3) a camera upright towards a target that is not straight above or below it.
+
+    Its columns are what the camera calls right, down and forward, in the frame of position and target (3,) [m].
+    """
+    forward = (target - position) / np.linalg.norm(target - position)
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    return np.stack([right, np.cross(forward, right), forward], axis=1)

@@ -5,6 +5,7 @@ only of the newest trial when the one before has been played. Poses of all bodie
 worker, which names the moved frame in each row: a chunk per worker and tick instead of one per body. Demonstrations are
 played in the world of the first worker that tries: who records them often does nothing else.
 
+    eye                               the camera that the 3D view follows, static
     world/<worker>                    where its world stands, static
     world/<worker>/shapes/<body>/...  shapes, static, each in the frame "<worker>/<body>"
     world/<worker>/motion             transforms of those frames
@@ -21,8 +22,9 @@ import numpy as np
 import rerun as rr
 
 from crkr.dashboard.progress import Row
+from crkr.dashboard.rerun_view.blueprint import EYE
 from crkr.dashboard.rerun_view.colours import FAILURE, SUCCESS
-from crkr.dashboard.rerun_view.places import eye, offset
+from crkr.dashboard.rerun_view.places import VIEW_ANGLE, eye, facing, offset
 from crkr.dashboard.rerun_view.recording import Recording
 from crkr.dashboard.rerun_view.shapes import bounds, shapes_by_body
 from crkr.dashboard.telemetry import Telemetry
@@ -69,15 +71,7 @@ class Stage:
         self._alone_until: float | None = None
         self._bounds = NO_SCENE
         recording.fixed(["world"], rr.ViewCoordinates.RIGHT_HAND_Z_UP)
-
-    @property
-    def has_scene(self) -> bool:
-        """Whether any worker has said what its world looks like."""
-        return any(world.scene for world in self._worlds.values())
-
-    def eye(self) -> tuple[Any, Any]:
-        """A good place to see all worlds from: position and target (3,) [m]."""
-        return eye(max(len(self._worlds), 1), *self._bounds)
+        self._look()
 
     def picture(self, row: Row, telemetry: Telemetry) -> None:
         """Takes in what a worker published about a trial."""
@@ -119,7 +113,18 @@ class Stage:
             world = _World(worker, len(self._worlds))
             self._worlds[worker] = world
             self._place(world)
+            self._look()
         return self._worlds.get(worker)
+
+    def _look(self) -> None:
+        """Moves the camera to where all worlds are in sight; a viewer whose user moved his own stays where he is."""
+        position, target = eye(max(len(self._worlds), 1), *self._bounds)
+        self._recording.fixed(
+            [EYE],
+            rr.Transform3D(translation=position, mat3x3=facing(position, target)),
+            # Not to be seen itself from elsewhere.
+            rr.Pinhole(fov_y=VIEW_ANGLE, aspect_ratio=1.0, image_plane_distance=1e-3, line_width=0.0, color=0),
+        )
 
     def _place(self, world: _World) -> None:
         """The worker's frame; shapes, paths and poses hang on it, whatever characters its name has."""
@@ -131,12 +136,13 @@ class Stage:
         )
 
     def _draw_scene(self, world: _World, scene: tuple[Geom, ...]) -> None:
-        first = not self.has_scene
+        first = not any(other.scene for other in self._worlds.values())
         world.scene = scene
         if first:
             self._bounds = bounds(scene)
             for other in self._worlds.values():
                 self._place(other)
+            self._look()
         for body, kind, archetype in shapes_by_body(scene):
             frame = world.name if body == "world" else f"{world.name}/{body}"
             self._recording.fixed(["world", world.name, "shapes", body, kind], archetype, rr.CoordinateFrame(frame))

@@ -1,9 +1,12 @@
 """A worker's token is there while it lives, and its id is its own."""
 
+import subprocess
+import sys
 import threading
 from collections.abc import Callable
 from contextlib import ExitStack
 from typing import Any
+from uuid import uuid4
 
 import pytest
 import zenoh
@@ -83,6 +86,62 @@ def test_a_token_may_be_closed_after_its_client(make_peer: MakePeer) -> None:
     client = Client(peer.endpoint)
     with client.task("throw").announce("w"):
         client.close()
+
+
+@pytest.fixture
+def throw(shared_endpoint: str) -> str:
+    """A task of the test's own on a real server."""
+    axis = [{"name": "x", "low": 0.0, "high": 1.0}]
+    with Client(shared_endpoint) as client:
+        client.wait_until_ready(20.0)
+        return client.create_task({"name": f"throw-{uuid4()}", "state": axis, "goal": axis}).name
+
+
+def state_when_gone(endpoint: str, task: str, worker: str) -> str:
+    """How the server sees a worker that is alive no longer."""
+    with Client(endpoint) as client:
+        while True:  # the pytest timeout is the deadline
+            workers = client.task(task).status()["workers"]
+            if gone := [one["state"] for one in workers if one["id"] == worker and one["state"] != "alive"]:
+                return str(gone[0])
+
+
+@pytest.mark.parametrize("first", ["presence", "client"])
+def test_a_worker_has_left_whichever_is_closed_first(first: str, shared_endpoint: str, throw: str) -> None:
+    client = Client(shared_endpoint)
+    presence = client.task(throw).announce("w")
+    one, other = (presence, client) if first == "presence" else (client, presence)
+    one.close()
+    other.close()
+    assert state_when_gone(shared_endpoint, throw, "w") == "left"
+
+
+def test_every_worker_of_a_client_has_left_with_it(shared_endpoint: str, throw: str) -> None:
+    with Client(shared_endpoint) as client:
+        kept = [client.task(throw).announce(name) for name in ("a", "b", "c")]
+    assert [state_when_gone(shared_endpoint, throw, one.worker_id) for one in kept] == ["left"] * 3
+
+
+FORGETFUL = """
+import os, sys
+from crkr.client import Client
+client = Client(sys.argv[1])
+presence = client.task(sys.argv[2]).announce("w")
+while not client.task(sys.argv[2]).status()["workers"]:
+    pass
+{}
+"""
+
+
+@pytest.mark.parametrize(
+    ("ending", "state"), [("sys.exit(3)", "left"), ("raise KeyError", "left"), ("os._exit(3)", "lost")]
+)
+def test_a_process_that_ends_without_closing_has_left_unless_it_was_cut_off(
+    ending: str, state: str, shared_endpoint: str, throw: str
+) -> None:
+    command = [sys.executable, "-c", FORGETFUL.format(ending), shared_endpoint, throw]
+    subprocess.run(command, stderr=subprocess.DEVNULL, timeout=30, check=False)
+    assert state_when_gone(shared_endpoint, throw, "w") == state
 
 
 @pytest.mark.parametrize("worker", ["", "a/b", "a*", "a b", "-a", "$", "x" * 128, None])

@@ -30,7 +30,9 @@ _PAUSE_S: Final = 0.1
 
 @final
 class Presence:
-    """Holds the token from `announce` to the end of the `with` block; declared again by itself after a reconnect.
+    """Holds the token from `announce` to the end of the `with` block or of the client, whichever comes first.
+
+    It is declared again by itself after a reconnect.
 
     Attributes:
         worker_id: Who is there.
@@ -38,7 +40,7 @@ class Presence:
 
     def __init__(self, worker_id: str, token: zenoh.LivelinessToken, session: zenoh.Session, left_key: str) -> None:
         self.worker_id: Final = worker_id
-        self._token: zenoh.LivelinessToken | None = token
+        self._tokens = [token]
         self._session, self._left_key = session, left_key
         hold(self, token)
 
@@ -59,24 +61,28 @@ class Presence:
                 if time.monotonic() > deadline:
                     raise Conflict(f"worker id {worker_id!r} is in use on task {task!r}: give each worker its own")
                 transport.session.pause(_PAUSE_S * random.uniform(0.2, 1.0))
-            return cls(worker_id, token, session, left_worker_key(task, worker_id))
+            presence = cls(worker_id, token, session, left_worker_key(task, worker_id))
         except zenoh.ZError as error:
             raise Internal(f"the token of worker {worker_id!r} could not be declared: {brief(error)}") from error
+        transport.session.see_off(presence)
+        return presence
 
     def close(self) -> None:
         """Says that the worker leaves and withdraws its token; a second call does nothing."""
         if is_forked():
             return
-        token, self._token = self._token, None
+        try:
+            token = self._tokens.pop()  # one of two threads gets it
+        except IndexError:
+            return
         release(self)
-        if token is not None:
-            try:
-                left = self._session.liveliness().declare_token(self._left_key)
-                _withdraw(token)
-                _withdraw(left)
-            except zenoh.ZError as error:
-                if "closed" not in str(error).lower():  # with its session, a token is gone already
-                    raise Internal(f"the token could not be withdrawn: {brief(error)}") from error
+        try:
+            left = self._session.liveliness().declare_token(self._left_key)
+            _withdraw(token)
+            _withdraw(left)
+        except zenoh.ZError as error:
+            if "closed" not in str(error).lower():  # with its session, a token is gone already
+                raise Internal(f"the token could not be withdrawn: {brief(error)}") from error
 
     def __enter__(self) -> Presence:
         return self

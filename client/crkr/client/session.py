@@ -6,15 +6,16 @@ import logging
 import threading
 import time
 import weakref
-from typing import Final, final
+from typing import Final, Protocol, final
+from weakref import WeakSet
 
 import zenoh
 
 from crkr.client.config import Connection, brief
 from crkr.client.forks import check_not_forked, hold, is_forked, release
-from crkr.protocol import Unavailable
+from crkr.protocol import CrkrError, Unavailable
 
-__all__ = ["NotConnected", "Session"]
+__all__ = ["Guest", "NotConnected", "Session"]
 
 _logger = logging.getLogger(__name__)
 _OPEN_S: Final = 1.0
@@ -22,6 +23,14 @@ _OPEN_S: Final = 1.0
 
 class NotConnected(Exception):
     """This attempt to open the session failed; another may not."""
+
+
+class Guest(Protocol):
+    """What wants to say goodbye while the session is still open."""
+
+    def close(self) -> None:
+        """Says it; a second call does nothing."""
+        ...
 
 
 @final
@@ -39,8 +48,9 @@ class Session:
         self.connection: Final = connection
         self._lock = threading.Lock()
         self._session: zenoh.Session | None = None
-        self._finalizer: weakref.finalize[[zenoh.Session], Session] | None = None
+        self._finalizer: weakref.finalize[[zenoh.Session, WeakSet[Guest]], Session] | None = None
         self._closed = threading.Event()
+        self._guests: WeakSet[Guest] = WeakSet()
 
     def open(self, deadline: float) -> zenoh.Session:
         """The open session.
@@ -70,6 +80,10 @@ class Session:
         """The session if it is open."""
         return None if self._closed.is_set() or is_forked() else self._session
 
+    def see_off(self, guest: Guest) -> None:
+        """Has a guest closed before the session, whichever way that ends; the guest is not kept alive for it."""
+        self._guests.add(guest)
+
     def pause(self, seconds: float) -> None:
         """Waits, but not longer than the session lives."""
         self._closed.wait(seconds)
@@ -91,7 +105,7 @@ class Session:
             session = zenoh.open(self.connection.zenoh(patience))
         except zenoh.ZError as error:
             raise NotConnected(f"cannot connect: {brief(error)}") from error
-        self._finalizer = weakref.finalize(self, _close, session)
+        self._finalizer = weakref.finalize(self, _close, session, self._guests)
         hold(self, session)
         _logger.debug("connected to %s", self.connection.endpoint)
         return session
@@ -102,9 +116,14 @@ class Session:
         check_not_forked()
 
 
-def _close(session: zenoh.Session) -> None:
+def _close(session: zenoh.Session, guests: WeakSet[Guest]) -> None:
     if is_forked():
         return
+    for guest in list(guests):
+        try:
+            guest.close()
+        except CrkrError as error:
+            _logger.warning("before closing the session: %s", error.message)
     try:
         session.close()  # type: ignore[no-untyped-call]  # zenoh's stub gives it no return type
     except zenoh.ZError as error:

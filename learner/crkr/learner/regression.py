@@ -14,6 +14,7 @@ work, but a step then costs tens or hundreds of milliseconds.
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, final
 
@@ -56,7 +57,15 @@ class Regression:
     floor: float
 
     @classmethod
-    def fit(cls, kernel: Kernel, Z: Array, Y: Array, noise: Array, previous: Regression | None = None) -> Regression:
+    def fit(
+        cls,
+        kernel: Kernel,
+        Z: Array,
+        Y: Array,
+        noise: Array,
+        previous: Regression | None = None,
+        matrix: Callable[[Kernel, Array], Array] | None = None,
+    ) -> Regression:
         """Factors once, O(m^3), or O(m^2 (m - n)) where `previous` holds the first n of these samples.
 
         Args:
@@ -65,8 +74,10 @@ class Regression:
             Y: (m, p) scaled goals minus their prior mean.
             noise: (m,) noise variances, > 0.
             previous: An earlier regression whose factor is extended if its samples lead these.
+            matrix: Gives the kernel matrix (m, m) of Z, symmetric, in C order and to be overwritten, for less than it
+                costs to make; it may be asked more than once.
         """
-        L, floor = _extended(kernel, Z, noise, previous) or _factor(kernel, Z, noise)
+        L, floor = _extended(kernel, Z, noise, previous) or _factor(kernel, Z, noise, matrix)
         W, _ = lapack.dpotrs(L, Y, lower=1)
         regression = cls(kernel, Z, noise, L, np.ascontiguousarray(W), floor)
         for array in (Z, noise, L, regression.W):
@@ -101,18 +112,21 @@ class Regression:
         return np.asarray(weights)
 
 
-def _factor(kernel: Kernel, Z: Array, noise: Array) -> tuple[Array, float]:
+def _factor(
+    kernel: Kernel, Z: Array, noise: Array, matrix: Callable[[Kernel, Array], Array] | None
+) -> tuple[Array, float]:
     """Lower factor of K + diag(noise), and the noise floor it took: ten times more after every failed pivot.
 
     K is factored in place and made anew for another attempt, which is rare: a copy kept at hand costs every model more
     in fresh memory than the kernel itself.
     """
     floor = asked = float(noise.min())
-    diagonal = np.arange(len(Z))
     while True:
-        A = kernel.matrix(Z, Z).T  # K is symmetric; its transpose is in the order that LAPACK wants
-        smallest_useful = np.finfo(np.float64).eps * float(A.diagonal().max())
-        A[diagonal, diagonal] += np.maximum(noise, floor)
+        K = kernel.matrix(Z, Z) if matrix is None else matrix(kernel, Z)
+        diagonal = K.reshape(-1)[:: len(K) + 1]
+        smallest_useful = np.finfo(np.float64).eps * float(diagonal.max())
+        diagonal += np.maximum(noise, floor)
+        A = K.T  # K is symmetric; its transpose is in the order that LAPACK wants
         L, failed_pivot = lapack.dpotrf(A, lower=1, clean=1, overwrite_a=1)
         if not failed_pivot:
             break

@@ -60,6 +60,16 @@ def test_a_killed_worker_is_named_and_the_rest_meet_the_total(train: Start, task
     assert trained(task) == 400
 
 
+def test_a_total_counts_the_trials_that_others_report_meanwhile(train: Start, task: Task, processes: Any) -> None:
+    command = train("-n", "2", "--trials", "600", "--seed", "1")
+    for count in (50, 200, 500):
+        under_way(task, processes, command, least=count)
+        task.report(state=[0.1, 0.2], goal=[0.1, 0.2], cost=0.5, success=False)
+    result = command.result()
+    assert result["trials"] == 597
+    assert result["trained"] == trained(task) == 600
+
+
 def test_when_the_last_worker_is_lost_the_launcher_fails_with_one_line(
     train: Start, task: Task, processes: Any
 ) -> None:

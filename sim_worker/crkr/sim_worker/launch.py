@@ -43,7 +43,8 @@ def launch(plan: LaunchPlan, say: Callable[[str], None], show: Callable[[int, st
         added = _demonstrate(plan, task, skill, say)
         status = task.status()
         trained, identity = training_trials(status), Identity(_name(), plan.seed, int(status["seq"]))
-        say(f"task {task.name} holds {trained} training trials" + (f" of {plan.total}" if plan.total else ""))
+        asked = "" if plan.total is None else f", {plan.total} asked for"
+        say(f"task {task.name} holds {trained} training trials{asked}")
         clock = EpochClock(trained, judged_epochs(task) if plan.evaluations and trained else ())
         launcher = Launcher(
             plan,

@@ -119,12 +119,18 @@ class Launcher:
                 worker.order("go")
 
     @property
+    def _at_the_end(self) -> bool:
+        """Whether the last tickets are about to be granted: then others' trials are looked for before each."""
+        left = self._quota.left
+        return left is not None and left <= 2 * TICKETS_AHEAD * len(self._workers)
+
+    @property
     def _poll_s(self) -> float:
-        return SHARED_POLL_S if self._quota.shared else POLL_S
+        return SHARED_POLL_S if self._quota.shared or self._at_the_end else POLL_S
 
     def _poll(self) -> None:
         """Learns from the server what other launchers did, and whether the total is reached."""
-        if self._complete or time.monotonic() < self._next_poll:
+        if self._complete or (time.monotonic() < self._next_poll and not self._at_the_end):
             return
         self._next_poll = time.monotonic() + self._poll_s
         under_way = sum(worker.tickets for worker in self._workers)

@@ -7,7 +7,7 @@ from typing import Final, final
 
 from rich.console import Console, Group, RenderableType
 from rich.live import Live
-from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
 from rich.progress import Progress as Bar
 from rich.text import Text
 
@@ -32,8 +32,9 @@ class Progress:
         self._title = title
         self._total = total
         self._unit = unit
-        self._bar = Bar(TextColumn("[bold]{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-        self._task = self._bar.add_task(title, total=total)
+        columns = (TextColumn("[bold]{task.description}"), BarColumn(), TextColumn("{task.fields[count]}"))
+        self._bar = Bar(*columns, TimeElapsedColumn())
+        self._task = self._bar.add_task(title, total=total, count=self._count(0))
         self._text = Text(style="dim")
         self._live = Live(console=console, get_renderable=self._picture, transient=True)
         self._due = 0.0
@@ -54,13 +55,12 @@ class Progress:
 
     def show(self, done: int, text: str = "", *, now: bool = False) -> None:
         """Says that `done` are done; `now` prints a plain line even if the last was just printed."""
-        self._bar.update(self._task, completed=done)
+        self._bar.update(self._task, completed=done, count=self._count(done))
         self._text.plain = text
         if self._console.is_terminal or not (now or time.monotonic() >= self._due):
             return
         self._due = time.monotonic() + EVERY_S
-        of = "" if self._total is None else f" of {self._total}"
-        line = f"{self._title}: {done}{of} {self._unit}" + (f", {text}" if text else "")
+        line = f"{self._title}: {self._count(done)}" + (f", {text}" if text else "")
         if line != self._last:
             self.say(line)
         self._last = line
@@ -68,6 +68,12 @@ class Progress:
     def say(self, line: str) -> None:
         """Prints a line of its own above the bar."""
         self._console.print(line, highlight=False, markup=False, soft_wrap=True)
+
+    def _count(self, done: int) -> str:
+        if self._total is None or done > self._total:
+            beyond = "" if self._total is None else f" ({self._total} asked for)"
+            return f"{done} {self._unit}{beyond}"
+        return f"{done} of {self._total} {self._unit}"
 
     def _picture(self) -> RenderableType:
         return Group(self._bar.get_renderable(), self._text)

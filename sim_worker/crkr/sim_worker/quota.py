@@ -11,8 +11,9 @@ __all__ = ["Quota"]
 class Quota:
     """Counts tickets for training trials; a ticket is one trial that may be started.
 
-    With one launcher the total is met exactly. With several, each takes a quarter of what is left and looks again, so
-    that it is exceeded by no more than the trials that the others had under way at the end.
+    With one launcher the total is met exactly, whatever others report before its last tickets are granted; what they
+    report after that exceeds it. With several launchers, each takes a quarter of what is left and looks again, so that
+    the total is exceeded by no more than the trials that the others had under way at the end.
 
     Args:
         total: Training trials that the task is to hold in all; None is no limit.
@@ -24,7 +25,8 @@ class Quota:
         self._base = stored
         self._granted = 0
         self._done = 0
-        self._others = 0
+        self._others = 0  # at least
+        self._others_at_most = 0  # at the last look
         self._seen = stored
         self._share = 0  # tickets that may still be granted before the next look, where others train too
 
@@ -38,7 +40,7 @@ class Quota:
         """Tickets that can be granted now; None is no limit."""
         if self._total is None:
             return None
-        return max(0, self._total - self._base - self._granted - self._others)
+        return max(0, self._total - self._base - self._granted - self._others_at_most)
 
     @property
     def shared(self) -> bool:
@@ -59,12 +61,17 @@ class Quota:
         self._done += 1
 
     def observe(self, stored: int) -> None:
-        """Learns how many training trials the task holds: what our tickets cannot account for, others did."""
+        """Learns how many training trials the task holds: what our tickets cannot account for, others did.
+
+        Those of ours that are stored and were not told of yet count as others' until the next look: a ticket that is
+        granted a little later does no harm, one too many cannot be taken back.
+        """
         self._others = max(self._others, stored - self._base - self._granted)
+        self._others_at_most = stored - self._base - self._done
         self._seen = max(self._seen, stored)
         self._share = max(1, (self.left or 0) // 4)
 
     def settle(self, stored: int) -> None:
         """Starts anew from the true count, with none of our tickets outstanding: those of lost workers come back."""
-        self._base, self._granted, self._done, self._others = stored, 0, 0, 0
+        self._base, self._granted, self._done, self._others, self._others_at_most = stored, 0, 0, 0, 0
         self._seen = max(self._seen, stored)

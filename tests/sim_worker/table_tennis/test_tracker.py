@@ -1,5 +1,7 @@
 """Plays with a known end are judged as the rules say."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,7 @@ from crkr.sim_worker.table_tennis.arm import Paddle
 from crkr.sim_worker.table_tennis.ball import Ball, flight, fly_to_height
 from crkr.sim_worker.table_tennis.constants import FACE_OFFSET
 from crkr.sim_worker.table_tennis.play import Play
+from crkr.sim_worker.table_tennis.spec import COST
 from crkr.sim_worker.table_tennis.tracker import cost_of, judge
 
 CENTRE, NORMAL = np.array([-1.5, 0.1, 1.0]), np.array([0.96, 0.0, 0.28])
@@ -85,6 +88,12 @@ def test_the_cost_saturates_as_equation_8() -> None:
     assert cost_of(0.02) == pytest.approx(1 - np.exp(-(0.02**2) / (2 * 6e-4)))
     assert cost_of(0.075) > 0.99
     assert cost_of(10.0) == 1.0
+
+
+def test_the_tasks_description_says_what_a_distance_costs() -> None:
+    said = re.findall(r"(\d\.\d+) at (\d+) cm", COST)
+    assert len(said) == 2
+    assert [f"{cost_of(int(distance) / 100):.2f}" for _, distance in said] == [cost for cost, _ in said]
     distances = np.linspace(0, 0.2, 50)
     assert (np.diff([cost_of(d) for d in distances]) > 0).all()
 

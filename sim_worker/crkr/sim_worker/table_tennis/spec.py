@@ -37,9 +37,11 @@ LANDING_TOLERANCE: Final = 0.3  # [m]
 SPARE_TIME: Final = 0.1  # [s]; more is as good, and counts as this
 SPARE_TIME_TOLERANCE: Final = 0.03  # [s]
 
+COST: Final = "Cost: how far the ball passes the paddle's centre at the hit time; 0.28 at 2 cm, 0.88 at 5 cm."
+
 LEARNING: Final[dict[str, dict[str, Any]]] = {
     "tuned": {
-        "description": "Return a table tennis ball; the settings that learn best.",
+        "description": f"Return a table tennis ball; the settings that learn best. {COST}",
         "kernel": {"linear_weight": 2.0},
         # A cost near zero says that this ball was met, not that the goal is exact for its neighbours.
         "noise_floor": 0.05,
@@ -49,7 +51,7 @@ LEARNING: Final[dict[str, dict[str, Any]]] = {
         "prior_mean": "demonstrations",
     },
     "paper": {
-        "description": "Return a table tennis ball; the settings of the paper.",
+        "description": f"Return a table tennis ball; the settings of the paper. {COST}",
         # Around a zero mean, goals of up to ten scales are drawn from this prior.
         "kernel": {"signal_variance": 25.0},
         "exploration": {"type": "gaussian"},

@@ -14,6 +14,7 @@ from crkr.protocol import Geom, StoredTrial, TaskSpec, Trial, geoms_to_wire
 
 SPEC = {
     "name": "crane",
+    "description": "Lift loads.",
     "state": [{"name": "load", "unit": "kg", "low": 0.0, "high": 10.0}],
     "goal": [{"name": "swing", "unit": "rad", "low": -1.0, "high": 1.0}],
 }

@@ -73,16 +73,22 @@ def test_a_signal_completes_the_recording_and_ends_the_page(
     with socket.socket() as probe:
         assert probe.connect_ex(("127.0.0.1", int(page.rstrip("/").rpartition(":")[2]))) != 0
     assert rows(file, "/cost/success") == 120
+    (guide,) = [batch.column("TextDocument:text")[0].as_py() for batch in batches(file, "/guide")]
+    assert "Lift loads." in guide[0]
 
 
 def rows(file: Path, entity: str) -> int:
     """Rows in time of an entity of a complete recording."""
+    return sum(batch.num_rows for batch in batches(file, entity) if "trial" in batch.schema.names)
+
+
+def batches(file: Path, entity: str) -> list[Any]:
+    """What a complete recording holds of an entity."""
     from rerun.chunk import RrdReader
 
     reader = RrdReader(str(file))
     (store,) = reader.recordings()
-    chunks = reader.stream(store=store).filter(content=entity).to_chunks()
-    return sum(chunk.num_rows for chunk in chunks if "trial" in chunk.to_record_batch().schema.names)
+    return [chunk.to_record_batch() for chunk in reader.stream(store=store).filter(content=entity).to_chunks()]
 
 
 def test_without_a_terminal_the_tables_become_lines(crane: Task, server: Any, watch: Watch) -> None:

@@ -25,6 +25,9 @@ class Notebook:
         self.ticks: list[float] = []
         self.progress: Progress | None = None
 
+    def task(self, description: str) -> None:
+        self.lines.append(description)
+
     def trials(self, rows: Sequence[Row], progress: Progress) -> None:
         self.seqs += [row.seq for row in rows]
         self.progress = progress

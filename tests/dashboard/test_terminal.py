@@ -66,6 +66,15 @@ def test_a_terminal_shows_curve_reasons_workers_and_latency(run: list[News]) -> 
         assert expected in text
 
 
+def test_a_terminal_says_what_the_task_says_of_itself() -> None:
+    text = io.StringIO()
+    console = Console(file=text, force_terminal=True, width=160, height=60, color_system=None)
+    with TerminalDisplay(console, "crane") as display:
+        display.task("Lift [bold] loads.")
+        display.finish(Feed(display).progress)
+    assert "Lift [bold] loads." in text.getvalue()
+
+
 def test_without_a_terminal_there_are_plain_lines(run: list[News]) -> None:
     text = shown(False, run)
     assert "\x1b" not in text

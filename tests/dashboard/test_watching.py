@@ -46,6 +46,9 @@ class Witness:
         self.lines: list[tuple[bool, str]] = []
         self.started = time.monotonic()
 
+    def task(self, description: str) -> None:
+        self.lines.append((False, description))
+
     def trials(self, rows: Sequence[Row], progress: Progress) -> None:
         self.progress = progress
         assert rows[-1].seq == progress.seq

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,7 +12,7 @@ from typing import Annotated, Final, final
 
 import typer
 
-from crkr.client import Client
+from crkr.client import Client, Task
 from crkr.client.console import configure_logging, stderr, stdout
 from crkr.client.options import Connect, LogLevel, Timeout, ZenohConfig
 from crkr.dashboard.feed import Feed
@@ -19,10 +20,11 @@ from crkr.dashboard.ports import choose_port
 from crkr.dashboard.view import View
 from crkr.dashboard.viewer import Viewer, page_address, require_display, stream_address
 from crkr.dashboard.watching import StopRequest, follow, wait_for_task
-from crkr.protocol import Unavailable
+from crkr.protocol import CrkrError, Unavailable
 
 __all__ = ["watch"]
 
+_logger = logging.getLogger(__name__)
 STREAM_PORT: Final = 9876
 WEB_PORT: Final = 9090
 PICTURES_S: Final = 1 / 15
@@ -97,8 +99,18 @@ class _Session:
         task = wait_for_task(self.client, self.task, self.patience_s, self.stop, _note)
         if task is None:
             return feed
+        view.task(_description(task))
         follow(self.client, task, feed, tick_s, lambda: goes_on() and not self.stop)
         return feed
+
+
+def _description(task: Task) -> str:
+    """What the task says of itself; a display can do without."""
+    try:
+        return task.spec.description
+    except CrkrError as error:
+        _logger.info("the task's description cannot be read: %s", error)
+        return ""
 
 
 def _in_terminal(session: _Session) -> bool:

@@ -45,6 +45,7 @@ class TerminalDisplay:
         self._console = console
         self._task = task
         self._live = Live(console=console, auto_refresh=False, transient=False) if console.is_terminal else None
+        self._description = ""
         self._status: Mapping[str, Any] = {}
         self._messages: deque[str] = deque(maxlen=MESSAGES)
         self._speed: deque[tuple[float, int]] = deque(maxlen=20)
@@ -61,6 +62,10 @@ class TerminalDisplay:
     ) -> None:
         if self._live is not None:
             self._live.stop()
+
+    def task(self, description: str) -> None:
+        """Keeps the description for the tables' head."""
+        self._description = description
 
     def trials(self, rows: Sequence[Row], progress: Progress) -> None:
         """Counted already."""
@@ -108,9 +113,9 @@ class TerminalDisplay:
         """All tables."""
         tables = [self._success(progress), self._reasons(progress), self._workers(progress), self._server()]
         shown = [table for table in tables if table.row_count]
-        head = Text(self._line(progress), style="bold")
+        head, about = Text(self._line(progress), style="bold"), Text(self._description, style="dim")
         return Panel(
-            Group(head, Text(), Columns(shown, padding=(0, 3)), *map(Text, self._messages)),
+            Group(head, about, Text(), Columns(shown, padding=(0, 3)), *map(Text, self._messages)),
             title=f"crkr watch {self._task}",
             title_align="left",
         )

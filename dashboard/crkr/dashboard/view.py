@@ -14,6 +14,10 @@ __all__ = ["View"]
 class View(Protocol):
     """A display. It is called from one thread and must not wait."""
 
+    def task(self, description: str) -> None:
+        """What the task says of itself, "" if nothing; before all else."""
+        ...
+
     def trials(self, rows: Sequence[Row], progress: Progress) -> None:
         """New trials of the log, in order."""
         ...

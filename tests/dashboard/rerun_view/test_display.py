@@ -29,6 +29,7 @@ def tables(recording: Recording, file: Path, read: Read, stored: Make, message: 
     """A short run: four evaluation trials, eight training trials with their publications, four evaluation trials."""
     display = RerunDisplay(recording, "crane [1]")
     feed = Feed(display)
+    display.task("Lift <loads>. Cost: how far they swing.")
 
     def ball(seq: int, epoch: int, hit: bool) -> StoredTrial:
         return stored(seq, "evaluation", info={"epoch": epoch, "outcomes": {"hit": hit}})
@@ -102,6 +103,25 @@ def test_pages_show_numbers_and_no_foreign_markup(tables: dict[str, Any]) -> Non
     assert r"crane \[1\]" in status
     assert "hit **100 %**" in status
     assert r"| stuck \| odd | 2 | 25 % | 25 % |" in outcomes
+
+
+def test_a_page_explains_the_panels_and_says_what_the_task_says_of_itself(tables: dict[str, Any]) -> None:
+    (guide,) = column(tables["/guide"], "TextDocument:text")
+    assert guide.startswith(r"**crane \[1\]**: Lift \<loads\>. Cost: how far they swing.")
+    assert "0 (best) to 1 (worst)" in guide
+
+
+def test_every_page_in_the_layout_is_written(tables: dict[str, Any], file: Path) -> None:
+    (layout,) = RrdReader(str(file)).blueprints()
+    views = [
+        batch
+        for chunk in RrdReader(str(file)).stream(store=layout).to_chunks()
+        if "ViewBlueprint:class_identifier" in (batch := chunk.to_record_batch()).schema.names
+    ]
+    classes, origins = (column(views, f"ViewBlueprint:{part}") for part in ("class_identifier", "space_origin"))
+    pages = {origin for name, origin in zip(classes, origins, strict=True) if name == "TextDocument"}
+    assert pages == {"/guide", "/outcomes", "/status"}
+    assert pages <= set(tables)
 
 
 def test_the_log_says_how_evaluations_went_and_what_was_skipped(tables: dict[str, Any]) -> None:

@@ -18,7 +18,11 @@ def arrangement() -> rrb.Blueprint:
         rrb.Vertical(
             rrb.Horizontal(
                 _scene(),
-                rrb.Vertical(_success(), rrb.Tabs(_cost(), _reasons(), active_tab=0), row_shares=[1, 1]),
+                rrb.Vertical(
+                    _success(),
+                    rrb.Tabs(_cost(), _reasons(), _document("guide", "What is this?"), active_tab=0),
+                    row_shares=[1, 1],
+                ),
                 column_shares=[1.3, 1],
             ),
             rrb.Horizontal(
@@ -65,15 +69,17 @@ def _series(name: str, *contents: str, share: bool = False, legend: str = "LeftT
 
 
 def _success() -> rrb.TimeSeriesView:
-    return _series("Success by epoch", "+ /evaluation/**", "+ /training/**", share=True, legend="RightBottom")
+    return _series(
+        "Success over training trials", "+ /evaluation/**", "+ /training/**", share=True, legend="RightBottom"
+    )
 
 
 def _cost() -> rrb.TimeSeriesView:
-    return _series("Cost of each trial", "+ /cost/**", share=True, legend="RightTop")
+    return _series("Cost of each trial: 0 best, 1 worst", "+ /cost/**", share=True, legend="RightTop")
 
 
 def _reasons() -> rrb.TimeSeriesView:
-    return _series("How trials end (share of the last 50)", "+ /reasons/**", share=True)
+    return _series("How trials end", "+ /reasons/**", share=True)
 
 
 def _exploration() -> rrb.TimeSeriesView:

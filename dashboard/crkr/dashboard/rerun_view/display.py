@@ -12,7 +12,7 @@ import rerun as rr
 from crkr.dashboard.progress import EpochResult, Progress, Row
 from crkr.dashboard.rerun_view.blueprint import arrangement
 from crkr.dashboard.rerun_view.curves import Curves
-from crkr.dashboard.rerun_view.documents import outcomes_page, status_page
+from crkr.dashboard.rerun_view.documents import guide_page, outcomes_page, status_page
 from crkr.dashboard.rerun_view.recording import Recording
 from crkr.dashboard.rerun_view.stage import Stage
 from crkr.dashboard.telemetry import Telemetry
@@ -43,6 +43,11 @@ class RerunDisplay:
         self._pages: dict[str, str] = {}
         self._speed: deque[tuple[float, int]] = deque(maxlen=10)
         self._times: dict[str, int] = {"trial": 0, "epoch": 0}
+
+    def task(self, description: str) -> None:
+        """Writes the page that explains the panels."""
+        page = rr.TextDocument(guide_page(self._task, description), media_type=rr.MediaType.MARKDOWN)
+        self._recording.fixed(["guide"], page)
 
     def trials(self, rows: Sequence[Row], progress: Progress) -> None:
         """Adds points to the curves."""

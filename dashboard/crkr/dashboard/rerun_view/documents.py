@@ -4,12 +4,28 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Final
 
 from crkr.dashboard.facts import latency_ms, percent, reason_rows, worker_rows
-from crkr.dashboard.progress import Progress
+from crkr.dashboard.progress import WINDOW, Progress
 
-__all__ = ["outcomes_page", "status_page"]
+__all__ = ["guide_page", "outcomes_page", "status_page"]
+
+GUIDE: Final = f"""\
+**Cost** says how good a training trial was, from 0 (best) to 1 (worst), as the task's skill measures it; what cost less
+weighs more in what is learned. It is not success: a trial may succeed and still have a high cost.
+
+**Success** is the share of trials that met a criterion of the skill. Thick: evaluations, which try the best known goals
+in the same situations each time, with a 95 % interval. Thin: the last {WINDOW} training trials, which explore.
+
+**Sigma** is how widely goals are explored, 1 being the width that the task calls typical. **Novelty** is how unlike all
+active samples a situation is, from 0 to 1.
+
+**Active set**: the samples that predictions rest on, of all that are good enough (eligible).
+
+An **epoch** is what is trained between two evaluations. Another horizontal axis than `trial`, chosen at the bottom, is
+`epoch` or `log_time`.
+"""
 
 
 def status_page(task: str, status: Mapping[str, Any], progress: Progress, trials_per_second: float) -> str:
@@ -41,6 +57,11 @@ def status_page(task: str, status: Mapping[str, Any], progress: Progress, trials
         ),
     ]
     return "\n".join(lines)
+
+
+def guide_page(task: str, description: str) -> str:
+    """What the panels show, for somebody who sees them for the first time."""
+    return f"**{_plain(task)}**: {_plain(description) or 'no description.'}\n\n{GUIDE}"
 
 
 def outcomes_page(progress: Progress) -> str:

@@ -1,6 +1,7 @@
-"""What predict and report promise, held by the learner in process and by a task over a live server alike."""
+"""What predict and report promise, held by the learner in process, a task over a live server and its copy alike."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from typing import Any, Protocol
 from uuid import UUID, uuid4
 
@@ -8,23 +9,15 @@ import numpy as np
 import pytest
 
 from crkr.client import Client, Task
+from crkr.client.mirror import Mirror
 from crkr.learner import Learner
-from crkr.protocol import (
-    Conflict,
-    Explanation,
-    Invalid,
-    NoSamples,
-    NovelState,
-    Prediction,
-    Receipt,
-    TaskSpec,
-)
+from crkr.protocol import Conflict, Explanation, Invalid, NoSamples, NovelState, Prediction, Receipt, TaskSpec
 
 Fields = dict[str, Any]
 
 
 class Policy(Protocol):
-    """What both have in common."""
+    """What they have in common."""
 
     @property
     def active_ids(self) -> list[UUID]: ...
@@ -38,17 +31,22 @@ class Policy(Protocol):
 
 
 class RemotePolicy:
-    """A task whose reports return when the model includes them, as a learner's do."""
+    """A task whose reports return when the model includes them; asked by way of a local copy where there is one."""
 
-    def __init__(self, task: Task) -> None:
-        self.task = task
-        self.predict, self.explain = task.predict, task.explain
+    def __init__(self, task: Task, mirror: Mirror | None = None) -> None:
+        self.task, self.mirror, self.explain = task, mirror, task.explain
         self.recost, self.remove, self.configure = task.recost, task.remove, task.configure
 
     @property
     def active_ids(self) -> list[UUID]:
         ids: list[UUID] = self.task.model()["ids"]
         return ids
+
+    def predict(self, states: object, explore: bool = False, *, trial_ids: Any = None) -> Prediction:
+        if self.mirror is None:
+            return self.task.predict(states, explore, trial_ids=trial_ids)
+        self.mirror.refresh()
+        return self.mirror.predict(states, explore, trial_ids=trial_ids)
 
     def report(self, answer: Prediction | None = None, **fields: Any) -> Receipt:
         return self.task.report(answer, **fields, wait=True)
@@ -70,13 +68,17 @@ def specification(**settings: Any) -> TaskSpec:
     )
 
 
-@pytest.fixture(params=["learner", "task"])
-def make_policy(request: pytest.FixtureRequest, client: Client) -> MakePolicy:
-    def make(**settings: Any) -> Policy:
-        spec = specification(**settings)
-        return Learner(spec) if request.param == "learner" else RemotePolicy(client.create_task(spec))
+@pytest.fixture(params=["learner", "task", "mirror"])
+def make_policy(request: pytest.FixtureRequest, client: Client) -> Iterator[MakePolicy]:
+    with ExitStack() as stack:
 
-    return make
+        def make(**settings: Any) -> Policy:
+            if request.param == "learner":
+                return Learner(specification(**settings))
+            task = client.create_task(specification(**settings))
+            return RemotePolicy(task, stack.enter_context(task.mirror()) if request.param == "mirror" else None)
+
+        yield make
 
 
 @pytest.fixture

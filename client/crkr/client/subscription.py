@@ -80,6 +80,11 @@ class Subscription:
         """Publications lost here because the reader was slow; Zenoh may lose more on the way and does not count."""
         return self._buffer.dropped
 
+    @property
+    def closed(self) -> bool:
+        """Nothing more will come."""
+        return self._buffer.closed
+
     def receive(self, timeout_s: float) -> tuple[str, dict[str, Any]] | None:
         """The next publication as (topic, message), or None if there is none within `timeout_s` or ever again."""
         buffer, deadline = self._buffer, time.monotonic() + timeout_s

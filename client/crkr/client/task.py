@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, Final, final
+from typing import TYPE_CHECKING, Any, Final, final
 from uuid import UUID
 
 from crkr.client.presence import Presence
@@ -28,12 +27,16 @@ from crkr.protocol import (
     make_trials,
     pack,
     pub_key,
+    random_ids,
     rpc_key,
     task_key,
     unpack,
 )
 from crkr.protocol.checks import finite_array, flag, integer, required, text
 from crkr.protocol.predict_bytes import packed_question, read_answer
+
+if TYPE_CHECKING:
+    from crkr.client.mirror import Mirror
 
 __all__ = ["Task"]
 
@@ -105,7 +108,7 @@ class Task:
         )
         message = request.to_wire()
         if "trial_ids" not in message:  # a retry must be the same question, so that it gets the same draw
-            message["trial_ids"] = _random_ids(request.count)
+            message["trial_ids"] = random_ids(request.count)
         reply = self._rpc.call(task_key(self.name, "predict"), message, timeout_s)
         with reading("predict"):
             return Prediction.from_wire(reply, request.states)
@@ -113,7 +116,7 @@ class Task:
     def _predict_one(self, state: Array, explore: object, worker: object, timeout_s: float | None) -> Prediction:
         """The commonest question, without a map on the way there and back."""
         named = None if worker is None else text(worker, "worker", longest=128)
-        payload = packed_question(state, flag(explore, "explore"), _random_ids(1)[0], named)
+        payload = packed_question(state, flag(explore, "explore"), random_ids(1)[0], named)
         reply = self._rpc.exchange(task_key(self.name, "predict"), "predict", payload, timeout_s)
         with reading("predict"):
             answer = read_answer(reply, state, len(self.spec.goal))
@@ -272,6 +275,26 @@ class Task:
         session = self._rpc.transport.connect(self._rpc.deadline(timeout_s))
         return Subscription(session, self.name, topics, capacity)
 
+    def mirror(
+        self,
+        *,
+        every_s: float = 1.0,
+        pause_s: float = 0.1,
+        max_age_s: float | None = None,
+        timeout_s: float | None = None,
+    ) -> Mirror:
+        """A local copy of the policy that follows the server's, and answers without it; arguments as for `Mirror`.
+
+        Raises:
+            ModuleNotFoundError: The extra 'mirror' is not installed.
+        """
+        try:
+            from crkr.client.mirror import Mirror  # needs an extra that most clients do without
+        except ModuleNotFoundError as error:
+            wanted = "a local copy of a policy needs the extra 'mirror': pip install 'crkr[mirror]'"
+            raise ModuleNotFoundError(wanted, name=error.name) from error
+        return Mirror(self, every_s=every_s, pause_s=pause_s, max_age_s=max_age_s, timeout_s=timeout_s)
+
     def _read(self, verb: str, message: Mapping[str, Any], timeout_s: float | None) -> dict[str, Any]:
         reply = self._rpc.call(task_key(self.name, verb), message, timeout_s)
         with reading(verb):
@@ -281,12 +304,3 @@ class Task:
         reply = self._rpc.call(admin_key(self.name, verb), message, timeout_s)
         with reading(verb):
             return {key: plain(value) for key, value in reply.items()}
-
-
-def _random_ids(count: int) -> list[bytes]:
-    """`count` random UUIDs (version 4) as bytes, from one read of the system's source."""
-    data = bytearray(os.urandom(16 * count))
-    for start in range(0, 16 * count, 16):
-        data[start + 6] = data[start + 6] & 0x0F | 0x40
-        data[start + 8] = data[start + 8] & 0x3F | 0x80
-    return [bytes(data[start : start + 16]) for start in range(0, 16 * count, 16)]

@@ -33,7 +33,7 @@ from crkr.protocol.errors import (
     error_to_wire,
 )
 from crkr.protocol.explanation import Explanation, Neighbour, SampleExplanation
-from crkr.protocol.ids import demonstration_id, evaluation_id, task_id, training_id
+from crkr.protocol.ids import demonstration_id, evaluation_id, random_ids, task_id, training_id
 from crkr.protocol.keys import (
     ADMIN_VERBS,
     PROTOCOL_VERSION,
@@ -116,6 +116,7 @@ __all__ = [
     "make_trials",
     "pack",
     "pub_key",
+    "random_ids",
     "rpc_key",
     "split_key",
     "task_id",

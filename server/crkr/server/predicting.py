@@ -8,7 +8,6 @@ bytes.
 
 from __future__ import annotations
 
-import os
 import time
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
@@ -18,7 +17,7 @@ from typing import Any, Final, final
 import numpy as np
 
 from crkr.learner import Model
-from crkr.protocol import Array, CrkrError, Invalid, NovelState, Prediction, PredictRequest, pack
+from crkr.protocol import Array, CrkrError, Invalid, NovelState, Prediction, PredictRequest, pack, random_ids
 from crkr.protocol.predict_bytes import packed_rows, state_bytes
 from crkr.server.request import Request
 from crkr.server.tasks import ServedTask, Tasks
@@ -35,8 +34,6 @@ _PASS_US: Final = 120e-6  # for each of m^2, whatever the number of states
 _GUIDED_US: Final = 300.0  # for each state whose goal outcomes guide
 _TRIAL_US: Final = 0.016  # for each such state and each trial that it is compared with
 _LEAST: Final = 8  # states at a time; with fewer, reading the factor again and again would be most of the work
-_VERSION: Final = 6  # byte of a UUID
-_VARIANT: Final = 8
 _LONGEST: Final = 128  # name of a worker
 
 
@@ -110,7 +107,7 @@ class Predictor:
         """Any form of request, checked in full."""
         question = PredictRequest.from_wire(message, task.dimensions)
         started = time.perf_counter_ns()
-        ids = [one.bytes for one in question.trial_ids] or [_new_id() for _ in range(question.count)]
+        ids = [one.bytes for one in question.trial_ids] or random_ids(question.count)
         answer = _predicted(task.model, question.states, question.explore, ids)
         reply = answer.to_wire()
         reply["compute_us"] = (time.perf_counter_ns() - started) // 1000
@@ -171,19 +168,11 @@ def _joined(parts: Sequence[Prediction]) -> Prediction:
     return replace(first, policy=policy, trial_ids=[one for part in parts for one in part.trial_ids], **rows)
 
 
-def _new_id() -> bytes:
-    """A random UUID (version 4) as bytes."""
-    identity = bytearray(os.urandom(16))
-    identity[_VERSION] = identity[_VERSION] & 0x0F | 0x40
-    identity[_VARIANT] = identity[_VARIANT] & 0x3F | 0x80
-    return bytes(identity)
-
-
 def _trial_id(message: dict[str, Any]) -> bytes:
     """The client's id as it is, or a new one; the model checks them."""
     given = message.get("trial_ids")
     if given is None:
-        return _new_id()
+        return random_ids(1)[0]
     if type(given) is list and len(given) == 1 and type(given[0]) is bytes and len(given[0]) == 16:
         return bytes(given[0])
     raise Invalid("trial_ids must be one id of 16 bytes for one state")

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack
 from itertools import repeat
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import numpy as np
 import typer
@@ -23,6 +23,9 @@ from crkr.client.client import Client
 from crkr.client.options import Json
 from crkr.client.task import Task
 from crkr.protocol import Array
+
+if TYPE_CHECKING:
+    from crkr.client.mirror import Mirror  # needs an extra, and the command says which
 
 __all__ = ["predict"]
 
@@ -59,20 +62,22 @@ def _all(directory: Path) -> Iterator[Figure]:
         size = len(bare.ask(payload))
         echo = stack.enter_context(Bare(stack.enter_context(echoing(size)), KEY))
         least = stack.enter_context(Bare(stack.enter_context(echoing(size, workload.BUDGET)), KEY))
-        yield from _alone(task, bare, echo, least, payload)
+        with task.mirror() as mirror:
+            yield from _alone(task, mirror, bare, echo, least, payload)
         yield _in_flight(bare, echo, payload)
         yield _thousand(task)
         yield from _beside_reports(stack, client, task, echo, payload)
         yield from _beside_flood(stack, client, task, echo, payload)
 
 
-def _alone(task: Task, bare: Bare, echo: Bare, least: Bare, payload: bytes) -> Iterator[Figure]:
+def _alone(task: Task, mirror: Mirror, bare: Bare, echo: Bare, least: Bare, payload: bytes) -> Iterator[Figure]:
     state = workload.states(1)[0]
     calls = {
         "predict": lambda: task.predict(state),
         "wire": lambda: bare.ask(payload),
         "least": lambda: least.ask(payload),
         "echo": lambda: echo.ask(payload),
+        "mirror": lambda: mirror.predict(state),
     }
     times = {name: p50(found) for name, found in in_turns(calls, 20, 150).items()}
     behind = {"predict us": times["predict"], "echo us": times["echo"]}
@@ -81,6 +86,8 @@ def _alone(task: Task, bare: Bare, echo: Bare, least: Bare, payload: bytes) -> I
     yield Figure("  the same bytes asked by bare Zenoh / echo", times["wire"] / times["echo"], None, False, behind)
     behind = {"least us": times["least"], "echo us": times["echo"]}
     yield Figure("  the bare arithmetic behind bare Zenoh / echo", times["least"] / times["echo"], None, False, behind)
+    behind = {"mirror us": times["mirror"], "echo us": times["echo"]}
+    yield Figure("  Mirror.predict, no network / echo", times["mirror"] / times["echo"], None, False, behind)
 
 
 def _in_flight(bare: Bare, echo: Bare, payload: bytes) -> Figure:

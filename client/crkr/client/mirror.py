@@ -1,0 +1,207 @@
+"""A local copy of a task's policy: predictions without a network, and while there is none.
+
+The server says with a notice that it has a new model; whoever missed it finds out within a second, by asking. A copy is
+fetched whole, made in the background, and put in place at once, so that a prediction never waits for one and never sees
+half of one.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Sequence
+from types import TracebackType
+from typing import TYPE_CHECKING, Final, final
+from uuid import UUID
+
+from crkr.client.rpc import reading
+from crkr.learner import Model
+from crkr.protocol import CrkrError, Invalid, Prediction, Unavailable, check_states, random_ids
+
+if TYPE_CHECKING:
+    from crkr.client.task import Task
+
+__all__ = ["Mirror"]
+
+_logger = logging.getLogger(__name__)
+_ATTEMPT_S: Final = 2.0  # to ask in the background
+_JOIN_S: Final = 0.2  # an attempt that nobody answers ends by itself
+
+
+@final
+class Mirror:
+    """Answers as the task does, from a copy that is refreshed in the background; safe to use from many threads.
+
+    Where outcomes guide the task's goals, the copy does without: it answers with the plain mean, or explores as the
+    paper does, as `policy` says.
+
+    Attributes:
+        name: The task's name.
+    """
+
+    def __init__(
+        self,
+        task: Task,
+        *,
+        every_s: float = 1.0,
+        pause_s: float = 0.1,
+        max_age_s: float | None = None,
+        timeout_s: float | None = None,
+    ) -> None:
+        """Fetches the first copy.
+
+        Args:
+            task: What is copied.
+            every_s: Longest time between questions whether the copy is up to date [s]; a third of `max_age_s` at most.
+            pause_s: Shortest time between two copies [s].
+            max_age_s: From which age predictions are refused [s]; None: they never are.
+            timeout_s: Deadline of the first copy [s].
+
+        Raises:
+            Invalid: A time that is not positive.
+            Unavailable: No answer by the deadline.
+            UnknownTask: There is no such task.
+        """
+        for name, value in {"every_s": every_s, "pause_s": pause_s, "max_age_s": max_age_s}.items():
+            if value is not None and not 0.0 < value < float("inf"):
+                raise Invalid(f"{name} must be a positive number of seconds; got {value!r}", details={"field": name})
+        self.name: Final = task.name
+        self._task, self._pause_s, self._max_age_s = task, pause_s, max_age_s
+        self._every_s = every_s if max_age_s is None else min(every_s, max_age_s / 3.0)
+        self._changed = threading.Condition()
+        self._closed = threading.Event()
+        self._fault: CrkrError | None = None
+        self._refreshing = threading.Lock()
+        # Before the first copy, or what changes between the two would go unnoticed for a while.
+        self._notices = task.subscribe(("model",), capacity=1, timeout_s=timeout_s)
+        try:
+            self._model, self._confirmed = _fetched(task, None, timeout_s)
+        except BaseException:
+            self._notices.close()
+            raise
+        self._thread = threading.Thread(target=self._follow, name=f"crkr-mirror-{self.name}", daemon=True)
+        self._thread.start()
+
+    @property
+    def model(self) -> Model:
+        """The copy at hand, immutable."""
+        return self._model
+
+    @property
+    def model_version(self) -> int:
+        """Log position that the copy has applied."""
+        return self._model.version
+
+    @property
+    def age_s(self) -> float:
+        """Time since the server said for the last time that the copy is its model [s]."""
+        return time.monotonic() - self._confirmed
+
+    @property
+    def fault(self) -> CrkrError | None:
+        """Why the copy could not be refreshed the last time; None: it was."""
+        return self._fault
+
+    def predict(
+        self, states: object, explore: bool = False, *, trial_ids: Sequence[UUID | bytes] | None = None
+    ) -> Prediction:
+        """Goals for one state (d,) or a batch (b, d), as `Task.predict`.
+
+        Raises:
+            Invalid: States of another shape, or not finite.
+            NoSamples: Nothing was learned yet.
+            NovelState: The task refuses states this far from its samples.
+            Unavailable: The copy is older than `max_age_s`, or was closed.
+        """
+        self._check()
+        model = self._model
+        if trial_ids is not None:
+            return model.predict(states, explore, trial_ids)
+        checked = check_states(states, len(model.parameters.kernel.centre))
+        ids = random_ids(1 if checked.ndim == 1 else len(checked))
+        return model.answer(checked, explore, [UUID(bytes=one) for one in ids])
+
+    def refresh(self, timeout_s: float | None = None) -> bool:
+        """Asks now; whether there was a newer model.
+
+        Raises:
+            Unavailable: No answer by the deadline, or the mirror was closed.
+            UnknownTask: The server has no such task any more.
+        """
+        if self._closed.is_set():
+            raise Unavailable(f"the local copy of task {self.name!r} was closed")
+        with self._refreshing:
+            before = self._model
+            try:
+                model, confirmed = _fetched(self._task, before, timeout_s)
+            except CrkrError as error:
+                self._fault = error
+                raise
+            with self._changed:
+                self._model, self._confirmed, self._fault = model, confirmed, None
+                self._changed.notify_all()
+        return model is not before
+
+    def wait_for(self, version: int, timeout_s: float) -> None:
+        """Waits until the copy has applied this log position, e.g. the last of a receipt's `seqs`.
+
+        Raises:
+            Unavailable: It has not by the deadline, or the mirror was closed.
+        """
+        with self._changed:
+            self._changed.wait_for(lambda: self._model.version >= version or self._closed.is_set(), timeout_s)
+        if self._model.version < version:
+            why = f" ({self._fault.message})" if self._fault is not None else ""
+            raise Unavailable(
+                f"the local copy of task {self.name!r} is at log position {self._model.version}, before {version}{why}",
+                details={"version": self._model.version},
+            )
+
+    def close(self) -> None:
+        """Ends refreshing; idempotent. What was predicted stays valid."""
+        self._closed.set()
+        with self._changed:
+            self._changed.notify_all()
+        self._notices.close()
+        if threading.current_thread() is not self._thread:
+            self._thread.join(_JOIN_S)
+
+    def __enter__(self) -> Mirror:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _check(self) -> None:
+        if self._closed.is_set():
+            raise Unavailable(f"the local copy of task {self.name!r} was closed")
+        if self._max_age_s is not None and (age := self.age_s) > self._max_age_s:
+            why = f" ({self._fault.message})" if self._fault is not None else ""
+            raise Unavailable(
+                f"the local copy of task {self.name!r} is {age:.1f} s old, more than {self._max_age_s:g} s{why}",
+                details={"age_s": age, "limit": self._max_age_s},
+            )
+
+    def _follow(self) -> None:
+        """Refreshes after notices, which tell only that there is something, and at least every `every_s`."""
+        while not self._closed.wait(self._pause_s):
+            self._notices.receive(self._every_s)
+            if self._notices.closed:
+                return
+            try:
+                self.refresh(_ATTEMPT_S)
+            except Exception as error:  # whatever it is, the next attempt may do better; `fault` and `age_s` tell
+                _logger.debug("the local copy of task %s was not refreshed: %s", self.name, error)
+
+
+def _fetched(task: Task, known: Model | None, timeout_s: float | None) -> tuple[Model, float]:
+    """The server's model, the known one where it still is, and since when that is known [s, monotonic clock]."""
+    asked = time.monotonic()
+    reply = task.model(None if known is None else known.version, timeout_s=timeout_s)
+    if known is not None and reply.get("unchanged") is True:
+        return known, asked
+    with reading("model"):
+        return Model.from_wire(reply), asked

@@ -1,0 +1,265 @@
+"""A local copy of a policy answers as the server does, follows it, goes on without it, and says how old it is."""
+
+import re
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+from uuid import UUID, uuid4
+
+import numpy as np
+import pytest
+
+from crkr.client import Client, Task
+from crkr.client.mirror import Mirror
+from crkr.learner import Learner
+from crkr.protocol import (
+    Internal,
+    Invalid,
+    NoSamples,
+    NovelState,
+    Prediction,
+    TaskSpec,
+    Unavailable,
+    UnknownTask,
+    pack,
+    unpack,
+)
+
+PATIENCE_S = 20.0
+PROBES = np.random.default_rng(1).uniform(-0.2, 1.2, (40, 2))
+IDS = [UUID(int=number) for number in range(1, 41)]
+
+
+def specification(**settings: Any) -> TaskSpec:
+    return TaskSpec.from_dict(
+        {
+            "name": f"putt-{uuid4()}",
+            "state": [{"name": name, "low": 0, "high": 1} for name in "xy"],
+            "goal": [{"name": name, "low": -1, "high": 1} for name in "ghi"],
+            "seed": 7,
+            **settings,
+        }
+    )
+
+
+def practise(task: Task, count: int, seed: int) -> int:
+    """Reports successes, waits until they are learned, and returns the last log position."""
+    rng = np.random.default_rng(seed)
+    receipt = task.report(
+        state=rng.uniform(0, 1, (count, 2)),
+        goal=rng.uniform(-0.9, 0.9, (count, 3)),
+        cost=rng.uniform(0, 1, count),
+        success=True,
+        wait=True,
+    )
+    return receipt.seqs[-1]
+
+
+def assert_alike(one: Prediction, other: Prediction) -> None:
+    for name in ("states", "goals", "means", "sigmas", "novelty"):
+        np.testing.assert_allclose(getattr(one, name), getattr(other, name), rtol=0, atol=1e-9, err_msg=name)
+    for name in ("trial_ids", "model_version", "active", "policy"):
+        assert getattr(one, name) == getattr(other, name), name
+
+
+@pytest.fixture
+def client(shared_endpoint: str) -> Iterator[Client]:
+    with Client(shared_endpoint) as client:
+        yield client
+
+
+@pytest.mark.parametrize("explore", [False, True])
+@pytest.mark.parametrize("settings", [{}, {"budget": 15, "kernel": {"signal_variance": 2.0, "linear_weight": 0.3}}])
+def test_it_answers_as_the_task_does(client: Client, explore: bool, settings: dict[str, Any]) -> None:
+    task = client.create_task(specification(**settings))
+    practise(task, 60, 2)
+    with task.mirror() as mirror:
+        assert_alike(mirror.predict(PROBES, explore, trial_ids=IDS), task.predict(PROBES, explore, trial_ids=IDS))
+        one = mirror.predict(PROBES[0], explore, trial_ids=IDS[:1])
+        assert_alike(one, task.predict(PROBES[0], explore, trial_ids=IDS[:1]))
+        assert one.goals.shape == (3,)
+
+
+def test_it_follows_the_model_by_notices(client: Client) -> None:
+    task = client.create_task(specification())
+    with task.mirror(every_s=1000.0, pause_s=0.01) as mirror:
+        for round_ in range(5):
+            seq = practise(task, 10, round_)
+            mirror.wait_for(seq, PATIENCE_S)
+            assert mirror.model_version == seq
+            assert_alike(mirror.predict(PROBES, True, trial_ids=IDS), task.predict(PROBES, True, trial_ids=IDS))
+
+
+def test_it_takes_over_changes_that_add_no_sample(client: Client) -> None:
+    task = client.create_task(specification())
+    practise(task, 20, 3)
+    with task.mirror() as mirror:
+        for change in ({"explore_scale": 0.5}, {"kernel": {"signal_variance": 3.0}}, {"budget": 5}):
+            answer = task.configure(change)
+            mirror.wait_for(answer["seq"], PATIENCE_S)
+            assert_alike(mirror.predict(PROBES, True, trial_ids=IDS), task.predict(PROBES, True, trial_ids=IDS))
+
+
+def test_a_prediction_of_it_may_be_reported_and_makes_ids_of_its_own(client: Client) -> None:
+    task = client.create_task(specification())
+    practise(task, 20, 3)
+    with task.mirror() as mirror:
+        answer = mirror.predict(PROBES[0], explore=True)
+        assert len({answer.trial_id, mirror.predict(PROBES[0], explore=True).trial_id}) == 2
+        assert len(set(mirror.predict(PROBES, explore=True).trial_ids)) == len(PROBES)
+        receipt = task.report(answer, cost=0.5, success=True, wait=True)
+        mirror.wait_for(receipt.seqs[-1], PATIENCE_S)
+        assert answer.trial_id in mirror.model.ids
+
+
+def test_without_samples_it_refuses_and_then_learns_of_the_first(client: Client) -> None:
+    task = client.create_task(specification())
+    with task.mirror() as mirror:
+        with pytest.raises(NoSamples):
+            mirror.predict(PROBES[0])
+        mirror.wait_for(practise(task, 1, 4), PATIENCE_S)
+        assert mirror.predict(PROBES[0]).active == 1
+
+
+def test_errors_are_those_of_the_task(client: Client) -> None:
+    task = client.create_task(specification(novel="refuse", novelty_limit=0.5))
+    practise(task, 20, 3)
+    with task.mirror() as mirror:
+        two: tuple[Task, Mirror] = (task, mirror)
+        bad: list[tuple[object, type[Exception]]] = [
+            ([1.0], Invalid),
+            ([np.nan, 0.0], Invalid),
+            ("north", Invalid),
+            ([50.0, 50.0], NovelState),
+        ]
+        for states, error in bad:
+            for policy in two:
+                with pytest.raises(error):
+                    policy.predict(states)
+    with pytest.raises(UnknownTask):
+        client.task("nowhere").mirror()
+
+
+@pytest.mark.parametrize("name", ["every_s", "pause_s", "max_age_s"])
+@pytest.mark.parametrize("value", [0.0, -1.0, float("nan"), float("inf")])
+def test_times_that_make_no_sense_are_refused(client: Client, name: str, value: float) -> None:
+    task = client.create_task(specification())
+    with pytest.raises(Invalid, match=name):
+        task.mirror(**{name: value})
+
+
+def test_a_closed_one_answers_no_more(client: Client) -> None:
+    task = client.create_task(specification())
+    practise(task, 5, 3)
+    mirror = task.mirror()
+    mirror.close()
+    mirror.close()
+    for call in (lambda: mirror.predict(PROBES[0]), mirror.refresh, lambda: mirror.wait_for(10**6, PATIENCE_S)):
+        with pytest.raises(Unavailable):
+            call()
+
+
+def test_its_thread_ends_with_the_client(shared_endpoint: str) -> None:
+    with Client(shared_endpoint) as client:
+        mirror = client.create_task(specification()).mirror(every_s=0.05, pause_s=0.01)
+    mirror._thread.join(PATIENCE_S)
+    assert not mirror._thread.is_alive()
+    with pytest.raises(Unavailable):
+        mirror.refresh()
+
+
+def test_where_outcomes_guide_the_task_it_says_that_it_answers_plainly(client: Client) -> None:
+    outcome = [{"name": "miss", "unit": "m", "target": 0.0, "tolerance": 0.01, "group": "all"}]
+    task = client.create_task(specification(outcome=outcome))
+    rng = np.random.default_rng(5)
+    states, goals = rng.uniform(0, 1, (60, 2)), rng.uniform(-0.9, 0.9, (60, 3))
+    task.report(state=states, goal=goals, cost=0.2, success=True, outcome=goals[:, :1] - 0.3, wait=True)
+    with task.mirror() as mirror:
+        theirs, ours = task.predict(PROBES), mirror.predict(PROBES)
+        assert (theirs.policy, ours.policy) == ("corrected", "mean")
+        np.testing.assert_allclose(ours.means, theirs.means, rtol=0, atol=1e-9)
+        assert ours.predicted_outcome is None
+
+
+def test_threads_may_predict_while_it_is_refreshed(client: Client) -> None:
+    task = client.create_task(specification(budget=30))
+    practise(task, 10, 0)
+    failures: list[BaseException] = []
+    done = threading.Event()
+
+    with task.mirror(pause_s=0.001) as mirror:
+
+        def ask() -> None:
+            try:
+                while not done.is_set():
+                    answer = mirror.predict(PROBES, True, trial_ids=IDS)
+                    again = mirror.model
+                    if again.version == answer.model_version:
+                        np.testing.assert_array_equal(again.predict(PROBES, True, IDS).goals, answer.goals)
+            except BaseException as error:  # told to the test
+                failures.append(error)
+
+        threads = [threading.Thread(target=ask) for _ in range(3)]
+        for thread in threads:
+            thread.start()
+        for round_ in range(30):
+            seq = practise(task, 3, round_)
+        mirror.wait_for(seq, PATIENCE_S)
+        done.set()
+        for thread in threads:
+            thread.join(PATIENCE_S)
+    assert not failures
+
+
+def test_it_answers_while_there_is_no_server_and_catches_up_with_the_next_one(
+    start_server: Callable[..., Any], free_port: int, processes: Any
+) -> None:
+    first = start_server(port=free_port)
+    with Client(first.endpoint) as client:
+        task = client.create_task(specification())
+        practise(task, 20, 1)
+        with task.mirror(every_s=0.1) as mirror, task.mirror(max_age_s=2.0) as cautious:
+            before = mirror.predict(PROBES, True, trial_ids=IDS)
+            first.process.kill()
+            first.process.wait()
+            age_s = mirror.age_s
+            processes.wait_until(lambda: mirror.fault is not None)
+            assert isinstance(mirror.fault, Unavailable)
+            assert mirror.age_s > age_s
+            np.testing.assert_array_equal(mirror.predict(PROBES, True, trial_ids=IDS).goals, before.goals)
+            processes.wait_until(lambda: cautious.age_s > 2.0)
+            with pytest.raises(Unavailable, match="more than 2 s"):
+                cautious.predict(PROBES)
+
+            start_server(port=free_port)
+            seq = practise(task, 5, 2)
+            for one in (mirror, cautious):
+                one.wait_for(seq, PATIENCE_S)
+                assert one.fault is None
+                assert_alike(one.predict(PROBES, True, trial_ids=IDS), task.predict(PROBES, True, trial_ids=IDS))
+
+
+def test_a_model_that_cannot_be_read_leaves_the_copy_as_it_was(make_peer: Callable[..., Any]) -> None:
+    learner = Learner(specification())
+    learner.report(state=PROBES[:9], goal=np.zeros((9, 3)), cost=0.1, success=True)
+    model = learner.model.to_wire()
+    peer = make_peer([unpack(pack(model)), unpack(pack({**model, "costs": np.zeros(8)}))])
+    with Client(peer.endpoint) as client, client.task("putt").mirror(every_s=1000.0) as mirror:
+        before = mirror.predict(PROBES)
+        with pytest.raises(Internal, match="costs"):
+            mirror.refresh()
+        assert isinstance(mirror.fault, Internal)
+        np.testing.assert_array_equal(mirror.predict(PROBES).goals, before.goals)
+
+
+def test_the_documented_program_runs_as_it_is_printed(start_server: Callable[..., Any], capsys: Any) -> None:
+    document = (Path(__file__).parents[2] / "docs/mirror.md").read_text()
+    [program] = re.findall(r"```python\n(.*?)```", document, re.DOTALL)
+    endpoint = start_server().endpoint
+    with Client(endpoint) as client:
+        state = [{"name": f"s{number}", "low": -6, "high": 6} for number in range(6)]
+        task = client.create_task(specification(name="table-tennis", state=state))
+        task.report(state=np.zeros(6), goal=np.zeros(3), cost=0.1, success=True, wait=True)
+    exec(compile(program.replace("tcp/127.0.0.1:7447", endpoint), "mirror.md", "exec"), {})
+    assert capsys.readouterr().out.startswith("[0. 0. 0.] ")

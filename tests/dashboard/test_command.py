@@ -147,7 +147,13 @@ def test_a_window_without_a_display_is_one_line_and_a_failure(watch: Watch) -> N
 
 
 @pytest.mark.parametrize(
-    "options", [["--web", "--terminal"], ["--terminal", "--save", "x.rrd"], ["--bind", "everywhere"]]
+    "options",
+    [
+        ["--web", "--terminal"],
+        ["--terminal", "--save", "x.rrd"],
+        ["--terminal", "--web-port", "9191"],
+        ["--bind", "everywhere"],
+    ],
 )
 def test_options_that_make_no_sense_together_are_wrong_usage(watch: Watch, options: list[str]) -> None:
     process = watch(*options)

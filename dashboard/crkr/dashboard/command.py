@@ -65,8 +65,9 @@ def watch(
     """
     if web + native + terminal > 1:
         raise typer.BadParameter("choose one of --web, --native and --terminal")
-    if terminal and save is not None:
-        raise typer.BadParameter("--save needs --web or --native")
+    served = {"--save": save, "--port": port, "--web-port": web_port, "--bind": None if bind == LOOPBACK else bind}
+    if terminal and (idle := [option for option, value in served.items() if value is not None]):
+        raise typer.BadParameter(f"--terminal records and serves nothing; leave out {', '.join(idle)}")
     configure_logging(log_level)
     with StopRequest() as stop, Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
         session = _Session(client, task, patience, stop)

@@ -98,6 +98,12 @@ def test_a_stored_trial_has_its_own_ball(start_command: Any, tmp_path: Path, ext
     assert (status, "own ball" in log) == (2, True), log
 
 
+def test_a_picture_cannot_be_slow(start_command: Any, tmp_path: Path) -> None:
+    status, _, log = start_command("render", "--slow", "4", str(tmp_path / "a.png")).finish()
+    assert (status, len(log.splitlines()), "can be slow" in log) == (1, 1, True), log
+    assert not (tmp_path / "a.png").exists()
+
+
 def test_another_skill_cannot_be_drawn(start_command: Any, tmp_path: Path) -> None:
     status, _, log = start_command("render", "--skill", "reaching:make", str(tmp_path / "a.png")).finish()
     assert (status, "draws table tennis" in log) == (1, True), log

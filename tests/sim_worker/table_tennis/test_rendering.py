@@ -70,19 +70,21 @@ def test_a_sequence_shows_six_moments_each_with_a_caption(
 
 
 @pytest.mark.parametrize(
-    ("name", "sequence", "complaint"),
+    ("name", "sequence", "slow", "complaint"),
     [
-        ("trial.jpg", False, r"\.mp4"),
-        ("trial", False, r"\.png"),
-        ("trial.gif", True, r"\.png"),
-        ("no/trial.png", False, "no folder"),
+        ("trial.jpg", False, 1.0, r"\.mp4"),
+        ("trial", False, 1.0, r"\.png"),
+        ("trial.gif", True, 1.0, r"\.png"),
+        ("trial.png", False, 4.0, r"\.mp4 or a \.gif, can be slow"),
+        ("trial.png", True, 4.0, r"\.mp4 or a \.gif, can be slow"),
+        ("no/trial.png", False, 1.0, "no folder"),
     ],
 )
 def test_what_cannot_be_saved_is_refused_before_anything_is_drawn(
-    tmp_path: Path, name: str, sequence: bool, complaint: str
+    tmp_path: Path, name: str, sequence: bool, slow: float, complaint: str
 ) -> None:
     with pytest.raises(Invalid, match=complaint):
-        check_output(tmp_path / name, sequence=sequence)
+        check_output(tmp_path / name, sequence=sequence, slow=slow)
 
 
 def test_a_refused_goal_has_no_film(skill: TableTennis, tmp_path: Path) -> None:

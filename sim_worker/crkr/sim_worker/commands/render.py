@@ -28,7 +28,9 @@ def render(
     trial: Annotated[str | None, typer.Option(metavar="UUID", help="Draw this stored trial of --task.")] = None,
     skill: Annotated[str, typer.Option(help="Table tennis, or a variant as package.module:factory.")] = "table-tennis",
     sequence: Annotated[bool, typer.Option("--sequence", help="Moments of a .png one beside the other.")] = False,
-    slow: Annotated[float, typer.Option(min=1.0, max=100.0, help="How many times slower than life a film runs.")] = 1.0,
+    slow: Annotated[
+        float, typer.Option(min=1.0, max=100.0, help="How many times slower than life a .mp4 or .gif runs.")
+    ] = 1.0,
     connect: Connect = None,
     timeout: Timeout = 5.0,
     zenoh_config: ZenohConfig = None,
@@ -57,7 +59,7 @@ def render(
     from crkr.sim_worker.table_tennis.render_trial import check_output, planned, render_trial
     from crkr.sim_worker.table_tennis.stored_trial import compared, stored_trial
 
-    check_output(out, sequence=sequence)
+    check_output(out, sequence=sequence, slow=slow)
     player = _player(skill, SkillOptions(environment=environment, launcher=launcher))
     if task is None and wanted is None:
         outcome = render_trial(player, *planned(player, seed, ball), out, sequence=sequence, slow=slow)

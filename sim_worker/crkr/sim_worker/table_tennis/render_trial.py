@@ -24,12 +24,14 @@ PICTURE_INTERVAL: Final = 0.01  # between points of the ball's path in a picture
 RATE: Final = 25  # frames a second: a GIF, which counts in hundredths of a second, can keep it
 
 
-def check_output(path: Path, *, sequence: bool = False) -> None:
+def check_output(path: Path, *, sequence: bool = False, slow: float = 1.0) -> None:
     """Raises `Invalid` now rather than after the drawing if nothing could be saved at `path`."""
     if sequence and path.suffix != ".png":
         raise Invalid(f"a sequence of moments is a .png; got {path.name}")
     if path.suffix not in (".png", *FILMS):
         raise Invalid(f"a picture is a .png, a film a .mp4 or a .gif; got {path.name}")
+    if slow != 1.0 and path.suffix not in FILMS:
+        raise Invalid(f"only a film, a .mp4 or a .gif, can be slow; {path.name} is a picture")
     if not path.absolute().parent.is_dir():
         raise Invalid(f"there is no folder {path.parent}; make it first")
 
@@ -68,17 +70,17 @@ def render_trial(
         width: [pixels].
         height: [pixels]; of each moment in a sequence.
         sequence: Show the moments of a .png one beside the other rather than in one picture.
-        slow: How many times slower than life a film runs.
+        slow: How many times slower than life a film runs; 1 for a .png.
 
     Returns:
         What the trial gave.
 
     Raises:
-        Invalid: Another suffix, no such folder, or a goal that is refused.
+        Invalid: Another suffix, what files of that suffix cannot show, no such folder, or a goal that is refused.
         Unsupported: This machine cannot render.
         ModuleNotFoundError: PyAV is not installed, for an .mp4.
     """
-    check_output(path, sequence=sequence)
+    check_output(path, sequence=sequence, slow=slow)
     motion = skill.film(state, goal, PICTURE_INTERVAL if path.suffix == ".png" else 1 / (RATE * slow))
     outcome = skill.attempt(state, goal)
     if motion is None:

@@ -1,4 +1,5 @@
 import io
+import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -17,7 +18,7 @@ STATUS = {
     "active": 17,
     "eligible": 40,
     "seq": 9,
-    "workers": [{"id": "crane-1", "state": "alive", "open_trials": 1, "last_seen": 0.0}, "odd"],
+    "workers": [{"id": "crane-1", "state": "alive", "open_trials": 1, "last_seen_s": 40.0}, "odd"],
     "latency_us": {"predict": {"p50": 250.0, "p99": 1500.0, "count": 3}, "odd": 4},
 }
 
@@ -64,6 +65,18 @@ def test_a_terminal_shows_curve_reasons_workers_and_latency(run: list[News]) -> 
         "17 of 40",
     ):
         assert expected in text
+
+
+def test_silence_grows_while_the_server_does_not_answer(stored: Make) -> None:
+    console = Console(width=160, color_system=None)
+    display = TerminalDisplay(console, "crane")
+    feed = Feed(display)
+    feed.news(News(trials=(stored(1),), status=STATUS), 1000.0)
+    feed.step(1001.0)
+    with console.capture() as seen:
+        console.print(display.page(feed.progress, 1002.0))
+        console.print(display.page(feed.progress, 1020.0))
+    assert re.findall(r"crane-1 .*?(\d+) s", seen.get()) == ["42", "60"]
 
 
 def test_a_terminal_says_what_the_task_says_of_itself() -> None:

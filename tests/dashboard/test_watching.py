@@ -61,7 +61,8 @@ class Witness:
         self.progress = progress
         self.lines.append((False, f"epoch {result.epoch}"))
 
-    def status(self, status: Mapping[str, Any], progress: Progress) -> None:
+    def status(self, status: Mapping[str, Any], progress: Progress, now: float) -> None:
+        assert self.started <= now <= time.monotonic()
         self.progress = progress
         self.statuses.append(status)
 

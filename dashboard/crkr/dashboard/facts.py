@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final, final
@@ -32,17 +31,22 @@ class WorkerFacts:
     quiet_s: float | None
 
 
-def worker_rows(status: Mapping[str, Any], progress: Progress) -> list[WorkerFacts]:
-    """Workers that the server knows, the living first, then those that only the log knows."""
+def worker_rows(status: Mapping[str, Any], progress: Progress, status_age_s: float) -> list[WorkerFacts]:
+    """Workers that the server knows, the living first, then those that only the log knows.
+
+    Args:
+        status: The server's answer; it tells ages by its own monotonic clock.
+        progress: The run so far.
+        status_age_s: How long ago the server answered so [s].
+    """
     listed = status.get("workers")
     entries = [entry for entry in listed if isinstance(entry, Mapping)] if isinstance(listed, list) else []
-    now = time.time()
     facts = {
         str(entry.get("id")): WorkerFacts(
             str(entry.get("id")),
             _state(entry.get("state")),
             progress.workers[str(entry.get("id"))],
-            now - entry["last_seen"] if isinstance(entry.get("last_seen"), int | float) else None,
+            entry["last_seen_s"] + status_age_s if isinstance(entry.get("last_seen_s"), int | float) else None,
         )
         for entry in entries
     }

@@ -93,7 +93,7 @@ class Feed:
                 _logger.info("caught up with %d trials, seq %d", sum(self.progress.kinds.values()), self.progress.seq)
         if news.status is not None:
             self._compare(news.status)
-            self._view.status(news.status, self.progress)
+            self._view.status(news.status, self.progress, now)
 
     def step(self, now: float) -> None:
         """Passes on what became ready; `now` is monotonic [s]."""

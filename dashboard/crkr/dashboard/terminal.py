@@ -47,6 +47,7 @@ class TerminalDisplay:
         self._live = Live(console=console, auto_refresh=False, transient=False) if console.is_terminal else None
         self._description = ""
         self._status: Mapping[str, Any] = {}
+        self._answered = 0.0
         self._messages: deque[str] = deque(maxlen=MESSAGES)
         self._speed: deque[tuple[float, int]] = deque(maxlen=20)
         self._next = 0.0
@@ -78,10 +79,10 @@ class TerminalDisplay:
         rates = ", ".join(f"{name} {result.rate(name):.2f}" for name in progress.criteria)
         self.say(f"epoch {result.epoch}: {rates} of {result.balls} evaluation trials")
 
-    def status(self, status: Mapping[str, Any], progress: Progress) -> None:
+    def status(self, status: Mapping[str, Any], progress: Progress, now: float) -> None:
         """Keeps the status for the next refresh."""
         del progress  # every refresh is given it
-        self._status = status
+        self._status, self._answered = status, now
 
     def say(self, message: str, *, warning: bool = False) -> None:
         """A line beneath the tables, or on its own."""
@@ -97,7 +98,7 @@ class TerminalDisplay:
         self._speed.append((now, progress.trials))
         if self._live is not None:
             self._next = now + RENEW_EVERY_S
-            self._live.update(self.page(progress), refresh=True)
+            self._live.update(self.page(progress, now), refresh=True)
         elif progress.seq != self._said:
             self._next = now + LINE_EVERY_S
             self._said = progress.seq
@@ -109,9 +110,9 @@ class TerminalDisplay:
         self._said = -1
         self.tick(time.monotonic(), progress)
 
-    def page(self, progress: Progress) -> RenderableType:
-        """All tables."""
-        tables = [self._success(progress), self._reasons(progress), self._workers(progress), self._server()]
+    def page(self, progress: Progress, now: float) -> RenderableType:
+        """All tables; `now` is monotonic [s]."""
+        tables = [self._success(progress), self._reasons(progress), self._workers(progress, now), self._server()]
         shown = [table for table in tables if table.row_count]
         head, about = Text(self._line(progress), style="bold"), Text(self._description, style="dim")
         return Panel(
@@ -152,9 +153,9 @@ class TerminalDisplay:
             table.add_row(Text(reason), str(count), percent(share), percent(lately))
         return table
 
-    def _workers(self, progress: Progress) -> Table:
+    def _workers(self, progress: Progress, now: float) -> Table:
         table = Table("worker", "state", "trials", "last heard")
-        for worker in worker_rows(self._status, progress)[:12]:
+        for worker in worker_rows(self._status, progress, now - self._answered)[:12]:
             quiet = "" if worker.quiet_s is None else f"{worker.quiet_s:.0f} s"
             table.add_row(Text(worker.name), Text(worker.state), str(worker.trials), quiet)
         return table

@@ -30,8 +30,8 @@ class View(Protocol):
         """An evaluation is complete."""
         ...
 
-    def status(self, status: Mapping[str, Any], progress: Progress) -> None:
-        """The server's answer to `status`."""
+    def status(self, status: Mapping[str, Any], progress: Progress, now: float) -> None:
+        """The server's answer to `status`; `now` is monotonic [s]."""
         ...
 
     def say(self, message: str, *, warning: bool = False) -> None:

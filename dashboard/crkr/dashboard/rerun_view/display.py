@@ -39,6 +39,7 @@ class RerunDisplay:
         self._stage = Stage(recording)
         self._curves = Curves(recording)
         self._status: Mapping[str, Any] = {}
+        self._answered = 0.0
         self._next_numbers = self._next_pages = 0.0
         self._pages: dict[str, str] = {}
         self._speed: deque[tuple[float, int]] = deque(maxlen=10)
@@ -68,10 +69,10 @@ class RerunDisplay:
         )
         self.say(f"epoch {result.epoch}: {rates} of {result.balls} evaluation trials")
 
-    def status(self, status: Mapping[str, Any], progress: Progress) -> None:
+    def status(self, status: Mapping[str, Any], progress: Progress, now: float) -> None:
         """Keeps the status for the next page."""
         self._note_times(progress)
-        self._status = status
+        self._status, self._answered = status, now
         self._curves.status(status, progress)
 
     def say(self, message: str, *, warning: bool = False) -> None:
@@ -88,22 +89,23 @@ class RerunDisplay:
         if now >= self._next_pages:
             self._next_pages = now + PAGES_EVERY_S
             self._speed.append((now, progress.trials))
-            self._write_pages(progress)
+            self._write_pages(progress, now)
 
     def finish(self, progress: Progress) -> None:
         """Sends everything that is still here."""
-        self.tick(time.monotonic(), progress)
+        now = time.monotonic()
+        self.tick(now, progress)
         self._curves.flush(progress)
-        self._write_pages(progress)
+        self._write_pages(progress, now)
 
     def _note_times(self, progress: Progress) -> None:
         self._times = {"trial": progress.trials, "epoch": progress.epoch}
 
-    def _write_pages(self, progress: Progress) -> None:
+    def _write_pages(self, progress: Progress, now: float) -> None:
         (start, before), (end, after) = self._speed[0], self._speed[-1]
         speed = (after - before) / (end - start) if end > start else 0.0
         pages = {
-            "status": status_page(self._task, self._status, progress, speed),
+            "status": status_page(self._task, self._status, now - self._answered, progress, speed),
             "outcomes": outcomes_page(progress),
         }
         for name, text in pages.items():

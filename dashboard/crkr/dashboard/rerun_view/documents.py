@@ -28,8 +28,10 @@ An **epoch** is what is trained between two evaluations. Another horizontal axis
 """
 
 
-def status_page(task: str, status: Mapping[str, Any], progress: Progress, trials_per_second: float) -> str:
-    """The run in numbers."""
+def status_page(
+    task: str, status: Mapping[str, Any], status_age_s: float, progress: Progress, trials_per_second: float
+) -> str:
+    """The run in numbers, `status` being what the server answered `status_age_s` ago."""
     newest = max((result for result in progress.epochs.values() if result.closed), default=None, key=lambda r: r.epoch)
     kinds = progress.kinds
     lines = [
@@ -47,7 +49,7 @@ def status_page(task: str, status: Mapping[str, Any], progress: Progress, trials
             ("worker", "state", "trials", "last heard"),
             [
                 (worker.name, worker.state, worker.trials, "" if worker.quiet_s is None else f"{worker.quiet_s:.0f} s")
-                for worker in worker_rows(status, progress)[:16]
+                for worker in worker_rows(status, progress, status_age_s)[:16]
             ],
         ),
         "",

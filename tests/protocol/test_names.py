@@ -32,6 +32,7 @@ from crkr.protocol import (
     task_key,
     training_id,
 )
+from crkr.protocol.keys import live_role_key
 
 CODES = {
     "INVALID", "UNKNOWN_TASK", "NO_SAMPLES", "NOVEL_STATE", "CONFLICT", "BUSY", "UNSUPPORTED", "STORAGE",
@@ -58,6 +59,7 @@ def test_keys_are_where_other_programs_look_for_them() -> None:
     assert pub_key("throw", "trial") == "crkr/@v1/task/throw/pub/trial"
     assert live_server_key("x") == "crkr/@v1/live/server/x"
     assert live_worker_key("throw", "w") == "crkr/@v1/task/throw/live/worker/w"
+    assert live_role_key("throw", "judge", "x") == "crkr/@v1/task/throw/live/role/judge/x"
 
 
 def test_the_servers_prefixes_match_their_keys_and_no_others() -> None:

@@ -8,6 +8,7 @@ from types import TracebackType
 from typing import Any, Final, TypedDict, final
 
 from crkr.client.config import Connection
+from crkr.client.role import Role
 from crkr.client.rpc import Rpc, plain, reading
 from crkr.client.task import Task
 from crkr.client.transport import Transport
@@ -97,6 +98,15 @@ class Client:
             Invalid: No task can have that name.
         """
         return Task(self._rpc, check_name(name))
+
+    def take_role(self, task: str, role: str, *, timeout_s: float | None = None) -> Role | None:
+        """Takes a part that one process at a time plays in a task; None where another has it.
+
+        Raises:
+            Invalid: No task, or no role, can have that name.
+            Unavailable: No connection in time.
+        """
+        return Role.take(self._rpc.transport, check_name(task), role, self._rpc.deadline(timeout_s))
 
     def close(self) -> None:
         """Ends the connection; calls in progress end with `Unavailable`."""

@@ -10,16 +10,18 @@ from __future__ import annotations
 import random
 import re
 import time
+from functools import partial
 from types import TracebackType
 from typing import Final, final
-from uuid import uuid4
 
 import zenoh
 
 from crkr.client.config import brief
 from crkr.client.forks import hold, is_forked, release
+from crkr.client.session import NotConnected
+from crkr.client.tokens import take, withdraw
 from crkr.client.transport import Transport
-from crkr.protocol import Conflict, Internal, Invalid, live_worker_key
+from crkr.protocol import Conflict, CrkrError, Internal, Invalid, Unavailable, live_worker_key
 from crkr.protocol.keys import claim_worker_key, left_worker_key
 
 __all__ = ["Presence"]
@@ -57,9 +59,9 @@ class Presence:
             raise Invalid(f"a worker id is 1 to 127 of A-Z, a-z, 0-9 and ._:- ; got {worker_id!r:.200}")
         session = transport.connect(deadline)
         try:
-            while (token := _take(session, task, worker_id)) is None:
+            while isinstance(token := _take(session, task, worker_id, transport.endpoint), CrkrError):
                 if time.monotonic() > deadline:
-                    raise Conflict(f"worker id {worker_id!r} is in use on task {task!r}: give each worker its own")
+                    raise token
                 transport.session.pause(_PAUSE_S * random.uniform(0.2, 1.0))
             presence = cls(worker_id, token, session, left_worker_key(task, worker_id))
         except zenoh.ZError as error:
@@ -78,8 +80,8 @@ class Presence:
         release(self)
         try:
             left = self._session.liveliness().declare_token(self._left_key)
-            _withdraw(token)
-            _withdraw(left)
+            withdraw(token)
+            withdraw(left)
         except zenoh.ZError as error:
             if "closed" not in str(error).lower():  # with its session, a token is gone already
                 raise Internal(f"the token could not be withdrawn: {brief(error)}") from error
@@ -93,28 +95,10 @@ class Presence:
         self.close()
 
 
-def _take(session: zenoh.Session, task: str, worker_id: str) -> zenoh.LivelinessToken | None:
-    """The token of a worker's id, or None where somebody has it or wants it too.
-
-    Who has it had claimed it before and lets go of the claim only after its token stands; so either shows.
-    """
-    key, claim = live_worker_key(task, worker_id), claim_worker_key(task, worker_id, str(uuid4()))
-    if _alive(session, key):
-        return None
-    claimed = session.liveliness().declare_token(claim)
+def _take(session: zenoh.Session, task: str, worker_id: str, endpoint: str) -> zenoh.LivelinessToken | CrkrError:
+    """The token of a worker's id, or why there is none now."""
     try:
-        if _alive(session, claim_worker_key(task, worker_id, "*")) - {claim} or _alive(session, key):
-            return None
-        return session.liveliness().declare_token(key)
-    finally:
-        _withdraw(claimed)
-
-
-def _alive(session: zenoh.Session, key: str) -> set[str]:
-    """Keys of the tokens that stand."""
-    replies = session.liveliness().get(key, zenoh.handlers.FifoChannel(16), timeout=0.5)
-    return {str(reply.ok.key_expr) for reply in replies if reply.ok is not None}
-
-
-def _withdraw(token: zenoh.LivelinessToken) -> None:
-    token.undeclare()  # type: ignore[no-untyped-call]  # zenoh's stub gives it no return type
+        token = take(session, live_worker_key(task, worker_id), partial(claim_worker_key, task, worker_id))
+    except NotConnected as error:
+        return Unavailable(f"{error} at {endpoint}; is the server running?")
+    return token or Conflict(f"worker id {worker_id!r} is in use on task {task!r}: give each worker its own")

@@ -17,8 +17,10 @@ __all__ = [
     "TASK_VERBS",
     "admin_key",
     "check_name",
+    "claim_role_key",
     "claim_worker_key",
     "left_worker_key",
+    "live_role_key",
     "live_server_key",
     "live_worker_key",
     "pub_key",
@@ -86,6 +88,16 @@ def left_worker_key(task: str, worker_id: str) -> str:
 def claim_worker_key(task: str, worker_id: str, claim: str) -> str:
     """Key of the token of one who wants a worker's id; two who want it at once see each other by it."""
     return f"{ROOT}/task/{task}/live/claim/{worker_id}/{claim}"
+
+
+def live_role_key(task: str, role: str, holder: str) -> str:
+    """Key of the token of the one process that plays a part in a task, such as judging it."""
+    return f"{ROOT}/task/{task}/live/role/{role}/{holder}"
+
+
+def claim_role_key(task: str, role: str, claim: str) -> str:
+    """Key of the token of one who wants a role, as for a worker's id."""
+    return f"{ROOT}/task/{task}/live/claim/role/{role}/{claim}"
 
 
 def split_key(key: str) -> tuple[str, str, str]:

@@ -27,16 +27,12 @@ class _Duty:
 class EvaluationDesk:
     """Has epochs judged beside the training.
 
-    Args:
-        clock: Names the epochs that end.
-
     Attributes:
         rates: Success rate by criterion of each epoch judged here.
     """
 
-    def __init__(self, clock: EpochClock) -> None:
+    def __init__(self) -> None:
         self.rates: dict[int, dict[str, float]] = {}
-        self._clock = clock
         self._duties: dict[int, _Duty] = {}
 
     @property
@@ -49,9 +45,9 @@ class EvaluationDesk:
         """How many epochs are still to be judged."""
         return len(self._duties)
 
-    def look(self, trained: int, workers: Sequence[Member]) -> None:
-        """Gives every epoch that has ended by now to the worker with the fewest."""
-        for epoch in self._clock.ended(trained):
+    def look(self, clock: EpochClock | None, trained: int, workers: Sequence[Member]) -> None:
+        """Gives every epoch that the clock says has ended to the worker with the fewest; no clock names none."""
+        for epoch in () if clock is None else clock.ended(trained):
             self._duties[epoch] = _Duty(trained)
         for epoch, duty in sorted(self._duties.items()):
             if duty.member is None and workers:

@@ -10,8 +10,8 @@ from collections.abc import Callable
 from crkr.client import Client, Task
 from crkr.protocol import NoSamples, Unavailable
 from crkr.sim_worker.demonstrations import record_demonstrations
-from crkr.sim_worker.epochs import EpochClock, judged_epochs
 from crkr.sim_worker.joining import create_or_join
+from crkr.sim_worker.judging import JudgeSeat
 from crkr.sim_worker.launch_plan import LaunchPlan, LaunchReport
 from crkr.sim_worker.launcher import Launcher, training_trials
 from crkr.sim_worker.randomness import demonstration_rng, worker_seed
@@ -45,14 +45,14 @@ def launch(plan: LaunchPlan, say: Callable[[str], None], show: Callable[[int, st
         trained, identity = training_trials(status), Identity(_name(), plan.seed, int(status["seq"]))
         asked = "" if plan.total is None else f", {plan.total} asked for"
         say(f"task {task.name} holds {trained} training trials{asked}")
-        clock = EpochClock(trained, judged_epochs(task) if plan.evaluations and trained else ())
+        seat = JudgeSeat(client, task, say) if plan.evaluations else None
         launcher = Launcher(
             plan,
             task,
             _settings(plan, task, identity),
             [worker_seed(plan.seed, index) for index in range(plan.workers)],
             trained,
-            clock,
+            seat,
             say,
             show,
         )

@@ -9,9 +9,9 @@ from typing import Any, Final, final
 
 from crkr.client import Task
 from crkr.protocol import CrkrError
-from crkr.sim_worker.epochs import EpochClock
 from crkr.sim_worker.evaluation_desk import EvaluationDesk
 from crkr.sim_worker.fleet import Fleet, Member
+from crkr.sim_worker.judging import JudgeSeat
 from crkr.sim_worker.launch_plan import LaunchPlan, LaunchReport
 from crkr.sim_worker.quota import Quota
 from crkr.sim_worker.stop_request import StopRequest
@@ -41,7 +41,7 @@ class Launcher:
         settings: What each process needs; the identity is made each one's own.
         seeds: Seed of each worker.
         trained: Training trials stored at the start.
-        clock: Names the epochs that end.
+        seat: This launcher's part in judging; None where it has none.
         say: Prints a line for people.
         show: Shows the training trials stored and a remark, often.
     """
@@ -53,7 +53,7 @@ class Launcher:
         settings: ProcessSettings,
         seeds: Sequence[int],
         trained: int,
-        clock: EpochClock,
+        seat: JudgeSeat | None,
         say: Callable[[str], None],
         show: Callable[[int, str], None],
     ) -> None:
@@ -61,7 +61,8 @@ class Launcher:
         self._task = task
         self._settings = settings
         self._seeds = seeds
-        self._desk = EvaluationDesk(clock)
+        self._seat = seat
+        self._desk = EvaluationDesk()
         self._say = say
         self._show = show
         self._report = LaunchReport(task.name, plan.workers)
@@ -104,13 +105,19 @@ class Launcher:
             self._workers.append(fleet.start(f"worker {index}", run_worker, own))
 
     def _look(self) -> None:
-        """Has epochs judged that have ended."""
-        if self._plan.evaluations:
-            self._desk.look(self._quota.trained, self._workers)
+        """Has epochs judged that have ended, where that is this launcher's part."""
+        if self._seat is not None:
+            self._seat.look(self._quota.trained)
+            self._desk.look(self._seat.clock, self._quota.trained, self._workers)
+
+    @property
+    def _others_begin(self) -> bool:
+        """Whether the launcher that has epochs judged has yet to ask the first epoch's model: then it trains first."""
+        return self._seat is not None and self._seat.clock is None and self._quota.trained == 0
 
     def _hand_out(self) -> None:
         """Keeps each worker in tickets."""
-        if self._complete or self._desk.holds_up_training:
+        if self._complete or self._desk.holds_up_training or self._others_begin:
             return
         for worker in self._workers:
             granted = self._quota.grant(max(0, TICKETS_AHEAD - worker.tickets))

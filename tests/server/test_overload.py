@@ -19,7 +19,7 @@ from crkr.client import Client
 Ask = Callable[..., dict[str, Any]]
 MakeTrial = Callable[..., dict[str, Any]]
 OUTSTANDING = 700
-# Asks and asks, and reads little of what it is told.
+# Asks and asks, for what there is or for what there is not, and reads little of what it is told.
 GREEDY = """
 import sys
 import msgpack, zenoh
@@ -28,9 +28,10 @@ for name, value in {"mode": '"client"', "connect/endpoints": f'["{sys.argv[1]}"]
                     "scouting/multicast/enabled": "false", "scouting/gossip/enabled": "false"}.items():
     config.insert_json5(name, value)
 session, waiting, count = zenoh.open(config), [], 0
+key = "crkr/@v1/task/reach/rpc/" + sys.argv[2]
 question = msgpack.packb({"states": [[0.5, 0.5]] * 40, "explore": True})
 while True:
-    waiting.append(session.get("crkr/@v1/task/reach/rpc/predict", zenoh.handlers.FifoChannel(1), payload=question,
+    waiting.append(session.get(key, zenoh.handlers.FifoChannel(1), payload=question,
                                timeout=60.0, consolidation=zenoh.ConsolidationMode.NONE))
     count += 1
     if count == 500:
@@ -86,8 +87,8 @@ def test_clients_that_ask_and_stop_reading_do_not_hold_up_the_others(
         for _ in range(rounds):
             with ExitStack() as stack:
                 greedy = []
-                for _ in range(3):
-                    command = [sys.executable, "-c", GREEDY, server.endpoint]
+                for verb in ("predict", "dance", "report"):
+                    command = [sys.executable, "-c", GREEDY, server.endpoint, verb]
                     greedy.append(stack.enter_context(subprocess.Popen(command, stdout=subprocess.PIPE, text=True)))
                     stack.callback(greedy[-1].kill)
                 for process in greedy:

@@ -2,10 +2,12 @@
 
 from collections.abc import Callable
 
+import msgpack
 import pytest
 import zenoh
 
 from crkr.protocol import task_key
+from crkr.server.intake import Intake
 from crkr.server.lane import busy
 from crkr.server.latency import Latencies
 from crkr.server.refusing import Refuser
@@ -27,13 +29,44 @@ def test_the_last_of_many_is_told_within_a_first_attempt(
         waiting = [asking.get(key, zenoh.handlers.FifoChannel(1), timeout=60.0) for _ in range(count)]
         refuser = Refuser()
         for _ in waiting:
-            refuser.add(Request(queries.recv(), Latencies()), busy("explain"))
+            refuser.add(Request(queries.recv(), Latencies()).fail, busy("explain"))
         told = pauses = 0
         while told < count:
             batch = refuser._take()
-            for request, error in batch:
-                request.fail(error)
+            for tell, error in batch:
+                tell(error)
             told, pauses = told + len(batch), pauses + 1
         assert pauses * PAUSE_S < 0.75 * FIRST_ATTEMPT_S
         assert len(batch) <= told / pauses + 1  # evenly, not all at the end
         assert all(replies.recv().err is not None for replies in waiting)
+
+
+def test_telling_what_was_asked_wrongly_does_not_hold_up_predictions(
+    free_port: int, plain: Callable[[str], zenoh.Session]
+) -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port}"
+
+    def predict(requests: list[Request]) -> list[Request]:
+        for request in requests:
+            request.reply({"active": 1})
+        return []
+
+    with open_session(endpoint, None) as session:
+        refuser = Refuser()
+        intake = Intake(session, task_key("*", "*"), {}, Latencies(), refuser, predict)
+        intake.start()
+        asking = plain(endpoint)
+        wrong = [task_key("reach", "dance"), task_key("reach", "*"), "crkr/@v1/task/**"]
+        replies = [asking.get(key, zenoh.handlers.FifoChannel(1), timeout=60.0) for key in wrong]
+        for _ in range(3):  # while nobody tells those
+            answer = asking.get(task_key("reach", "predict"), zenoh.handlers.FifoChannel(1), timeout=10.0).recv()
+            assert answer.ok is not None
+        assert [reply.try_recv() for reply in replies] == [None] * 3
+        refuser.start()
+        codes = []
+        for reply in replies:
+            told = reply.recv()
+            assert told.err is not None
+            codes.append(msgpack.unpackb(told.err.payload.to_bytes())["code"])
+        assert codes == ["UNSUPPORTED", "UNSUPPORTED", "INVALID"]
+        refuser.close(1.0)

@@ -42,7 +42,9 @@ def test_what_comes_after_the_order_to_stop_is_told_so(
     router: tuple[zenoh.Session, str], connect: Callable[[str], Ask]
 ) -> None:
     session, endpoint = router
-    intake = Intake(session, task_key("*", "*"), {}, Latencies(), Refuser(), fails)
+    refuser = Refuser()
+    intake = Intake(session, task_key("*", "*"), {}, Latencies(), refuser, fails)
+    refuser.start()
     intake.start()
     intake.stop()
     for verb in ("predict", "report", "dance"):
@@ -97,7 +99,7 @@ def test_all_for_whom_there_was_no_room_are_told_so_before_the_end(
     waiting = [asking.get(key, zenoh.handlers.FifoChannel(1), timeout=10.0) for _ in range(500)]
     refuser = Refuser()
     for _ in waiting:
-        refuser.add(Request(queries.recv(), Latencies()), busy("explain"))
+        refuser.add(Request(queries.recv(), Latencies()).fail, busy("explain"))
     refuser.start()
     refuser.close(10.0)
     assert {code(replies.recv()) for replies in waiting} == {"BUSY"}
@@ -113,7 +115,7 @@ def test_who_is_refused_after_the_last_was_told_so_is_told_so_too(
     refuser.start()
     refuser.close(10.0)
     replies = plain(endpoint).get(key, zenoh.handlers.FifoChannel(1), timeout=10.0)
-    refuser.add(Request(queries.recv(), Latencies()), busy("explain"))
+    refuser.add(Request(queries.recv(), Latencies()).fail, busy("explain"))
     assert code(replies.recv()) == "BUSY"
 
 

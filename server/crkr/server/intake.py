@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any, Final, final
 
 import zenoh
@@ -38,7 +39,7 @@ class Intake:
 
     Args:
         lanes: verb -> where its requests go.
-        refuser: Tells those for whom there is no room.
+        refuser: Tells those who are not let in: a client that does not read their errors must not hold up this thread.
         predict: Answers predict requests on the intake thread and returns those it left: patient ones for their lane,
             the others for another round. None: there are none under this key.
     """
@@ -107,10 +108,7 @@ class Intake:
             self._waiting.put_back([request for request in left if not request.patient])
         for request in left:
             if request.patient or not on_duty:
-                try:
-                    self._hand_over(request)
-                except CrkrError as error:
-                    request.fail(error)
+                self._hand_over(request)
         return on_duty
 
     def _route(self, query: zenoh.Query) -> None:
@@ -118,31 +116,32 @@ class Intake:
         try:
             request = Request(query, self._latencies)
             if self._stopping:
-                request.fail(shutting_down())
+                self._refuser.add(request.fail, shutting_down())
             elif request.verb == "predict" and self._predict is not None and request.size <= _SMALL:
                 self._wait(request)
             else:
                 self._hand_over(request)
         except CrkrError as error:
-            self._latencies.refused(OTHER_VERB, error.code)
-            refuse(query, error)
+            self._turn_away(query, error)
         except Exception:
             logger.exception("a query on %s could not be taken", query.key_expr)
-            self._latencies.refused(OTHER_VERB, Internal.code)
-            refuse(query, Internal("the query could not be taken by a defect of the server; see its log"))
+            self._turn_away(query, Internal("the query could not be taken by a defect of the server; see its log"))
+
+    def _turn_away(self, query: zenoh.Query, error: CrkrError) -> None:
+        """Refuses what is no request of the protocol."""
+        self._latencies.refused(OTHER_VERB, error.code)
+        self._refuser.add(partial(refuse, query), error)
 
     def _wait(self, request: Request) -> None:
         if not self._waiting.add(request):
-            self._refuser.add(request, busy(request.verb))
+            self._refuser.add(request.fail, busy(request.verb))
 
     def _hand_over(self, request: Request) -> None:
         request.patient = True
-        refusal = self._lane(request).offer(request)
-        if refusal is not None:
-            self._refuser.add(request, refusal)
-
-    def _lane(self, request: Request) -> Lane[Any]:
         lane = self._lanes.get(request.verb)
-        if lane is None:
-            raise Unsupported(f"verb {request.verb!r} is not offered here; these are: {', '.join(sorted(self._lanes))}")
-        return lane
+        refusal = self._unknown(request.verb) if lane is None else lane.offer(request)
+        if refusal is not None:
+            self._refuser.add(request.fail, refusal)
+
+    def _unknown(self, verb: str) -> Unsupported:
+        return Unsupported(f"verb {verb!r} is not offered here; these are: {', '.join(sorted(self._lanes))}")

@@ -1,4 +1,4 @@
-"""Tells those who asked too much, at a measured pace.
+"""Tells those who asked too much, or for what there is not, at a measured pace.
 
 Who is refused asks again, and who is refused at once asks again at once: a client that keeps hundreds of questions
 outstanding would then occupy the server with refusals alone, and every other client's predictions with it.
@@ -6,27 +6,34 @@ outstanding would then occupy the server with refusals alone, and every other cl
 
 from __future__ import annotations
 
+import logging
 import math
 import threading
 from collections import deque
+from collections.abc import Callable
 from typing import Final, final
 
 from crkr.protocol import CrkrError
-from crkr.server.request import Request
 
 __all__ = ["Refuser"]
+
+logger = logging.getLogger(__name__)
 
 _PAUSE_S: Final = 0.004  # between those told together
 _TOGETHER: Final = 4  # at least
 _PAUSES: Final = 80  # in which all are told who wait: a client that waits for BUSY hears it within its first attempt
+_Tell = Callable[[CrkrError], None]
 
 
 @final
 class Refuser:
-    """One thread that answers what was refused; any thread may add to it."""
+    """One thread that tells what was refused; any thread may add to it.
+
+    Who does not read holds it up, and nobody else: others hear of their refusal later then, and ask again anyway.
+    """
 
     def __init__(self) -> None:
-        self._waiting: deque[tuple[Request, CrkrError]] = deque()
+        self._waiting: deque[tuple[_Tell, CrkrError]] = deque()
         # That waited at a time since last nobody did. It sets the pace, or the last of many would wait long.
         self._most = 0
         self._changed = threading.Condition()
@@ -37,15 +44,15 @@ class Refuser:
         """Begins to answer."""
         self._thread.start()
 
-    def add(self, request: Request, error: CrkrError) -> None:
-        """Answers a request with this error before long; at once where the thread may have ended."""
+    def add(self, tell: _Tell, error: CrkrError) -> None:
+        """Calls `tell` with this error before long; at once where the thread may have ended."""
         with self._changed:
             if not self._closing.is_set():
-                self._waiting.append((request, error))
+                self._waiting.append((tell, error))
                 self._most = max(self._most, len(self._waiting))
                 self._changed.notify()
                 return
-        request.fail(error)
+        tell(error)
 
     def close(self, patience_s: float) -> None:
         """Answers all that wait, for `patience_s` at most, and ends."""
@@ -57,11 +64,14 @@ class Refuser:
 
     def _run(self) -> None:
         while batch := self._take():
-            for request, error in batch:
-                request.fail(error)
+            for tell, error in batch:
+                try:
+                    tell(error)
+                except Exception:  # the others are told
+                    logger.exception("%s could not be told", error.code)
             self._closing.wait(_PAUSE_S)
 
-    def _take(self) -> list[tuple[Request, CrkrError]]:
+    def _take(self) -> list[tuple[_Tell, CrkrError]]:
         with self._changed:
             while not (self._waiting or self._closing.is_set()):
                 self._changed.wait()

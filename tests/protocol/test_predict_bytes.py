@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from crkr.protocol import Prediction, PredictRequest, pack, unpack
-from crkr.protocol.predict_bytes import packed_question, packed_rows, read_answer, state_bytes
+from crkr.protocol.predict_bytes import Question, packed_question, packed_rows, read_answer, read_question, state_bytes
 
 
 def prediction(rng: np.random.Generator, shape: tuple[int, ...], p: int, q: int) -> Prediction:
@@ -95,6 +95,38 @@ def test_a_question_is_packed_as_its_map(
 ) -> None:
     asked = PredictRequest.create(len(state), state, explore=explore, trial_ids=[trial_id], worker=worker)
     assert packed_question(asked.states, explore, trial_id, worker) == pack(asked.to_wire())
+
+
+@given(
+    st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=1, max_size=70),
+    st.booleans(),
+    st.binary(min_size=16, max_size=16),
+    st.none() | st.text(max_size=130),
+    st.booleans(),
+)
+def test_a_question_is_read_as_it_was_packed(
+    state: list[float], explore: bool, trial_id: bytes, worker: str | None, right: bool
+) -> None:
+    payload = packed_question(np.array(state), explore, trial_id, worker)
+    found = read_question(payload, len(state) if right else len(state) + 1)
+    if right and worker != "" and len(worker or "") <= 128:
+        assert found == Question(np.array(state).tobytes(), explore, trial_id, worker)
+    else:
+        assert found is None
+
+
+@given(st.data())
+def test_a_damaged_question_is_never_read_otherwise_than_by_the_codec(data: st.DataObject) -> None:
+    whole = bytearray(packed_question(np.zeros(2), data.draw(st.booleans()), bytes(range(16)), "w"))
+    for _ in range(data.draw(st.integers(1, 3))):
+        whole[data.draw(st.integers(0, len(whole) - 1))] = data.draw(st.integers(0, 255))
+    damaged = bytes(whole[: data.draw(st.integers(0, len(whole)))]) if data.draw(st.booleans()) else bytes(whole)
+    found = read_question(damaged, 2)
+    if found is not None:
+        asked = unpack(damaged)
+        assert state_bytes(asked, 2) == found.state
+        assert asked["trial_ids"] == [found.trial_id]
+        assert (asked.get("explore", False), asked.get("worker")) == (found.explore, found.worker)
 
 
 @given(st.integers(0, 2**32), st.integers(1, 40))

@@ -11,7 +11,7 @@ import zenoh
 
 from crkr.protocol import task_key
 from crkr.server.latency import Latencies
-from crkr.server.predicting import _count
+from crkr.server.predicting import _states
 from crkr.server.request import Request
 from crkr.server.session import open_session
 from crkr.server.turns import Turns
@@ -126,4 +126,4 @@ def test_tasks_take_turns_and_those_put_back_are_next(plain: Callable[[str], zen
 @pytest.mark.parametrize("rows", [0, -1, -(2**62)])
 def test_no_question_counts_as_less_than_one_state(rows: int) -> None:
     """Or the work of those behind it would seem to be none."""
-    assert _count({"states": {"shape": [rows, 2], "dtype": "<f8", "data": b""}}) == 1
+    assert _states({"states": {"shape": [rows, 2], "dtype": "<f8", "data": b""}}) == 1

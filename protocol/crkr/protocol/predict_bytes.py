@@ -6,9 +6,10 @@ a message of any other form is left to the codec.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 from uuid import UUID
 
 import msgpack
@@ -17,7 +18,7 @@ import numpy as np
 from crkr.protocol.codec import Array, pack
 from crkr.protocol.predict import Prediction
 
-__all__ = ["packed_question", "packed_rows", "read_answer", "state_bytes"]
+__all__ = ["Question", "packed_question", "packed_rows", "read_answer", "read_question", "state_bytes"]
 
 _BEFORE: Final = ("goals", "means", "sigmas", "novelty")
 _AFTER: Final = ("predicted_outcome", "predicted_outcome_sd")
@@ -29,7 +30,24 @@ def _entry(name: str, value: object) -> bytes:
 
 
 _ID_HEAD: Final = _entry("trial_ids", [bytes(16)])[:-16]
-_NINE, _FOUR = bytes([0x89]), bytes([0x84])  # headers of maps with so many entries
+_THREE: Final = bytes([0x83])  # header of a map with so many entries
+_LONGEST: Final = 128  # name of a worker
+
+
+class Question(NamedTuple):
+    """What is asked about one state.
+
+    Attributes:
+        state: 8 d bytes, little-endian float64, not checked.
+        explore: Draw a goal to try.
+        trial_id: 16 bytes.
+        worker: Who asks.
+    """
+
+    state: bytes
+    explore: bool
+    trial_id: bytes
+    worker: str | None
 
 
 def packed_question(state: Array, explore: bool, trial_id: bytes, worker: str | None) -> bytes:
@@ -54,56 +72,94 @@ def _question(dimensions: int, explore: bool, worker: str | None) -> tuple[bytes
     return head, middle, b"" if worker is None else _entry("worker", worker)
 
 
+def read_question(data: bytes, dimensions: int) -> Question | None:
+    """The question about one state (d,) with d = `dimensions`, or None where its form is another."""
+    found = _question_form(dimensions).fullmatch(data)
+    if found is None:
+        return None
+    count, state, explore, trial_id, worker = found.groups()
+    if count[0] != 0x82 + (explore is not None) + (worker is not None):
+        return None
+    name = None if worker is None else _name(worker)
+    return None if name == "" else Question(state, explore is not None, trial_id, name)
+
+
+@lru_cache(64)
+def _question_form(dimensions: int) -> re.Pattern[bytes]:
+    """Groups: the map's header, the state, the flag, the id, the worker's name with its own header."""
+    width = 8 * dimensions
+    states, explore, worker = _array_head("states", width, False), _entry("explore", True), _entry("worker", "")[:-1]
+    return re.compile(
+        rb"([\x82-\x84])%b(.{%d})(%b)?%b(.{16})(?:%b(.{1,%d}))?"
+        % (re.escape(states), width, re.escape(explore), re.escape(_ID_HEAD), re.escape(worker), 4 * _LONGEST + 5),
+        re.DOTALL,
+    )
+
+
+@lru_cache(1024)
+def _name(data: bytes) -> str:
+    """A worker's name; "" where it is none."""
+    try:
+        name = msgpack.unpackb(data)
+    except (ValueError, TypeError, msgpack.UnpackException):
+        return ""
+    return name if type(name) is str and len(name) <= _LONGEST else ""
+
+
 def read_answer(data: bytes, state: Array, outputs: int) -> Prediction | None:
     """The answer about one state (d,) whose goal has p = `outputs` numbers, or None where its form is another.
 
     Its arrays are read-only views of one copy of the numbers.
     """
-    fixed, runs, after = _answer(outputs)
-    if data[:1] != _NINE:
+    found = _answer_form(outputs).fullmatch(data)
+    if found is None:
         return None
-    for start, head in fixed:
-        if not data.startswith(head, start):
-            return None
-    rest = _rest(data[after:])
-    if rest is None:
+    *parts, trial_id, rest, time_us = found.groups()
+    scalars, compute_us = _read_scalars(rest), _count(time_us)
+    if scalars is None or compute_us is None:
         return None
-    numbers = np.frombuffer(b"".join([data[start:end] for start, end in runs]), "<f8")
+    numbers = np.frombuffer(b"".join(parts), "<f8")
     goals, means, sigmas, novelty = (
         numbers[:outputs],
         numbers[outputs : 2 * outputs],
         numbers[2 * outputs : 3 * outputs],
         numbers[3 * outputs :].reshape(()),
     )
-    ids = [UUID(bytes=data[after - 16 : after])]
-    return Prediction(state, goals, means, sigmas, novelty, ids, *rest[:3], compute_us=rest[3])
-
-
-def _rest(data: bytes) -> tuple[int, int, str, int] | None:
-    """The entries behind the id: model_version, active, policy, compute_us."""
-    try:
-        rest = msgpack.unpackb(_FOUR + data)
-        found = rest["model_version"], rest["active"], rest["policy"], rest["compute_us"]
-    except (ValueError, TypeError, KeyError, msgpack.UnpackException):
-        return None
-    if tuple(map(type, found)) != (int, int, str, int) or len(found[2]) > 32:
-        return None
-    return found if all(0 <= number < 2**62 for number in (found[0], found[1], found[3])) else None
+    return Prediction(state, goals, means, sigmas, novelty, [UUID(bytes=trial_id)], *scalars, compute_us=compute_us)
 
 
 @lru_cache(64)
-def _answer(outputs: int) -> tuple[list[tuple[int, bytes]], list[tuple[int, int]], int]:
-    """Where the parts that never change stand, where the numbers do, and where the id ends."""
-    fixed, runs, place = [], [], 1
+def _answer_form(outputs: int) -> re.Pattern[bytes]:
+    """Groups: goals, means, sigmas, novelty, the id, what all answers of a model share, the model's time."""
+    form = rb"\x89"
     for name in _BEFORE:
         scalar = name == "novelty"
         width = 8 if scalar else 8 * outputs
-        head = _array_head(name, width, scalar)
-        fixed.append((place, head))
-        place += len(head) + width
-        runs.append((place - width, place))
-    fixed.append((place, _ID_HEAD))
-    return fixed, runs, place + len(_ID_HEAD) + 16
+        form += rb"%b(.{%d})" % (re.escape(_array_head(name, width, scalar)), width)
+    tail = rb"%b(.{16})(.{1,128})%b(.{1,9})" % (re.escape(_ID_HEAD), re.escape(_entry("compute_us", 0)[:-1]))
+    return re.compile(form + tail, re.DOTALL)
+
+
+@lru_cache(64)
+def _read_scalars(data: bytes) -> tuple[int, int, str] | None:
+    """The entries model_version, active and policy."""
+    try:
+        rest = msgpack.unpackb(_THREE + data)
+        found = rest["model_version"], rest["active"], rest["policy"]
+    except (ValueError, TypeError, KeyError, msgpack.UnpackException):
+        return None
+    if tuple(map(type, found)) != (int, int, str) or len(found[2]) > 32:
+        return None
+    return found if 0 <= found[0] < 2**62 and 0 <= found[1] < 2**62 else None
+
+
+def _count(data: bytes) -> int | None:
+    """A whole number of the protocol."""
+    try:
+        number = msgpack.unpackb(data)
+    except (ValueError, TypeError, msgpack.UnpackException):
+        return None
+    return number if type(number) is int and 0 <= number < 2**62 else None
 
 
 def state_bytes(message: Mapping[str, Any], dimensions: int) -> bytes | None:

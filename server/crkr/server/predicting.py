@@ -12,20 +12,18 @@ import time
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
-from typing import Any, Final, final
+from typing import Any, Final, NamedTuple, final
 
 import numpy as np
 
 from crkr.learner import Model
-from crkr.protocol import Array, CrkrError, Invalid, NovelState, Prediction, PredictRequest, pack, random_ids
-from crkr.protocol.predict_bytes import packed_rows, state_bytes
+from crkr.protocol import Array, CrkrError, NovelState, Prediction, PredictRequest, pack, random_ids, unpack
+from crkr.protocol.predict_bytes import Question, packed_rows, read_question, state_bytes
 from crkr.server.request import Request
 from crkr.server.tasks import ServedTask, Tasks
 from crkr.server.workers import Workers
 
 __all__ = ["Predictor"]
-
-_Question = tuple[Request, dict[str, Any], bytes]  # request, its message, the bytes of its one state
 
 _AT_ONCE_US: Final = 1000.0  # of work, after which others have their turn
 _STATE_US: Final = 3.0  # the work of a state, apart from the samples
@@ -53,7 +51,7 @@ class Predictor:
         Returns:
             Those left, in the same order.
         """
-        together: defaultdict[tuple[str, bool], list[_Question]] = defaultdict(list)
+        together: defaultdict[tuple[str, bool], list[tuple[Request, Question]]] = defaultdict(list)
         left: list[Request] = []
         work = 0.0
         for place, request in enumerate(requests):
@@ -61,51 +59,55 @@ class Predictor:
                 left += requests[place:]
                 break
             try:
-                task, message = self._tasks.get(request.task), request.message()
-                needed = _work_us(_count(message), task.model)
+                task = self._tasks.get(request.task)
+                payload, cost = request.payload(), _Cost.of(task.model)
+                question, message = read_question(payload, task.dimensions), None
+                if question is None:
+                    message = unpack(payload)
+                    question = _question(message, task.dimensions)
+                needed = cost.us(1 if message is None else _states(message))
                 if needed > _AT_ONCE_US and not request.patient:
                     request.patient = True
                     left.append(request)
                     continue
                 work += needed
-                state = _single_state(message, task.dimensions)
-                if state is None:
-                    self._answer_alone(request, task, message)
+                if question is None:
+                    self._answer_alone(request, task)
                     continue
-                alike = together[request.task, message.get("explore", False)]
+                alike = together[request.task, question.explore]
                 if alike:
-                    work -= _work_us(0, task.model)  # the factor is read once for all of them
-                alike.append((request, message, state))
+                    work -= cost.once_us  # the factor is read once for all of them
+                alike.append((request, question))
             except Exception as error:  # this one's fault alone; it is answered and the others go on
                 request.fail_unexpectedly(error)
         for (name, explore), questions in together.items():
             self._answer_together(self._tasks.get(name), explore, questions)
         return left
 
-    def _answer_together(self, task: ServedTask, explore: bool, questions: list[_Question]) -> None:
+    def _answer_together(self, task: ServedTask, explore: bool, questions: list[tuple[Request, Question]]) -> None:
         """One call of the model for all; where one of them is refused, each is asked alone."""
         started = time.perf_counter_ns()
-        states = np.frombuffer(b"".join(state for _, _, state in questions), "<f8")
+        states = np.frombuffer(b"".join([question.state for _, question in questions]), "<f8")
+        asked = states.reshape(len(questions), task.dimensions) if len(questions) > 1 else states
+        ids = [question.trial_id for _, question in questions]
         try:
-            ids = [_trial_id(message) for _, message, _ in questions]
-            asked = states.reshape(len(questions), task.dimensions) if len(questions) > 1 else states
             answer = _predicted(task.model, asked, explore, ids if explore else None)
         except CrkrError:
-            for request, message, _ in questions:
+            for request, _ in questions:
                 try:
-                    self._answer_alone(request, task, message)
+                    self._answer_alone(request, task)
                 except Exception as error:
                     request.fail_unexpectedly(error)
             return
         rows = packed_rows(answer, ids, (time.perf_counter_ns() - started) // 1000)
-        for (request, message, _), identity, row in zip(questions, ids, rows, strict=True):
+        for (request, question), row in zip(questions, rows, strict=True):
             request.reply_packed(row)
-            if explore and (worker := message.get("worker")):
-                self._workers.asked(task.name, worker, (identity,))
+            if explore and question.worker:
+                self._workers.asked(task.name, question.worker, (question.trial_id,))
 
-    def _answer_alone(self, request: Request, task: ServedTask, message: dict[str, Any]) -> None:
+    def _answer_alone(self, request: Request, task: ServedTask) -> None:
         """Any form of request, checked in full."""
-        question = PredictRequest.from_wire(message, task.dimensions)
+        question = PredictRequest.from_wire(unpack(request.payload()), task.dimensions)
         started = time.perf_counter_ns()
         ids = [one.bytes for one in question.trial_ids] or random_ids(question.count)
         answer = _predicted(task.model, question.states, question.explore, ids)
@@ -116,14 +118,29 @@ class Predictor:
             self._workers.asked(task.name, question.worker, ids)
 
 
-def _work_us(count: int, model: Model) -> float:
-    """About how long a prediction takes [us], what every question costs left out."""
-    square, searched = model.active**2, model.explorer.searched
-    guided = _GUIDED_US + _TRIAL_US * searched if searched else 0.0
-    return _PASS_US * square + count * (_STATE_US + _SQUARE_US * square + guided)
+class _Cost(NamedTuple):
+    """About how long predictions by a model take, what every question costs left out.
+
+    Attributes:
+        once_us: For any number of states [us].
+        state_us: For each state [us].
+    """
+
+    once_us: float
+    state_us: float
+
+    @classmethod
+    def of(cls, model: Model) -> _Cost:
+        square, searched = model.active**2, model.explorer.searched
+        guided = _GUIDED_US + _TRIAL_US * searched if searched else 0.0
+        return cls(_PASS_US * square, _STATE_US + _SQUARE_US * square + guided)
+
+    def us(self, count: int) -> float:
+        """For so many states [us]."""
+        return self.once_us + count * self.state_us
 
 
-def _count(message: Mapping[str, Any]) -> int:
+def _states(message: Mapping[str, Any]) -> int:
     """How many states a request seems to ask about; whether it is in order is found out when it is answered."""
     states = message.get("states")
     if type(states) is dict:
@@ -132,18 +149,27 @@ def _count(message: Mapping[str, Any]) -> int:
     return len(states) if type(states) is list and states and type(states[0]) is list else 1
 
 
-def _single_state(message: Mapping[str, Any], dimensions: int) -> bytes | None:
-    """The one state of a request that others can be answered together with; None: it needs a full look."""
-    worker = message.get("worker") or ""
-    plain = type(message.get("explore", False)) is bool and type(worker) is str and len(worker) <= _LONGEST
-    return state_bytes(message, dimensions) if plain else None
+def _question(message: Mapping[str, Any], dimensions: int) -> Question | None:
+    """A request about one state that others can be answered together with; None: it needs a full look."""
+    explore, worker, given = message.get("explore", False), message.get("worker"), message.get("trial_ids")
+    state = state_bytes(message, dimensions)
+    if state is None or type(explore) is not bool:
+        return None
+    if worker is not None and not (type(worker) is str and len(worker) <= _LONGEST):
+        return None
+    if given is None:
+        given = random_ids(1)
+    one = type(given) is list and len(given) == 1 and type(given[0]) is bytes and len(given[0]) == 16
+    return Question(state, explore, given[0], worker) if one else None
 
 
 def _predicted(model: Model, states: Array, explore: bool, ids: Sequence[bytes] | None) -> Prediction:
     """A few states at a time: no other thread of Python runs while the factor is solved for them."""
-    per_state = _work_us(1, model) - _work_us(0, model)
-    most = max(_LEAST, int((_AT_ONCE_US - _work_us(0, model)) / per_state))
-    if states.ndim == 1 or len(states) <= most:
+    if states.ndim == 1:
+        return model.predict(states, explore, ids)
+    cost = _Cost.of(model)
+    most = max(_LEAST, int((_AT_ONCE_US - cost.once_us) / cost.state_us))
+    if len(states) <= most:
         return model.predict(states, explore, ids)
     starts = range(0, len(states), most)
     try:
@@ -166,13 +192,3 @@ def _joined(parts: Sequence[Prediction]) -> Prediction:
     }
     policy = "corrected" if any(part.policy == "corrected" for part in parts) else first.policy
     return replace(first, policy=policy, trial_ids=[one for part in parts for one in part.trial_ids], **rows)
-
-
-def _trial_id(message: dict[str, Any]) -> bytes:
-    """The client's id as it is, or a new one; the model checks them."""
-    given = message.get("trial_ids")
-    if given is None:
-        return random_ids(1)[0]
-    if type(given) is list and len(given) == 1 and type(given[0]) is bytes and len(given[0]) == 16:
-        return bytes(given[0])
-    raise Invalid("trial_ids must be one id of 16 bytes for one state")

@@ -93,12 +93,16 @@ class Request:
         self._payload = b"" if payload is None else payload.to_bytes()
         self.size = len(self._payload)
 
-    def message(self) -> dict[str, Any]:
-        """The decoded request; raises `Invalid` or `Unsupported`."""
+    def payload(self) -> bytes:
+        """The request's bytes; raises `Unsupported` where they are of another version."""
         given = self._query.encoding
         if given is not None:
             check_encoding(str(given))
-        return unpack(self._payload)
+        return self._payload
+
+    def message(self) -> dict[str, Any]:
+        """The decoded request; raises `Invalid` or `Unsupported`."""
+        return unpack(self.payload())
 
     def reply(self, message: Mapping[str, Any]) -> None:
         """Answers."""

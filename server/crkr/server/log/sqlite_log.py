@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import sqlite3
 import threading
 import time
@@ -20,9 +21,12 @@ from crkr.server.log.tally import TALLY_NAME, Tally, lost_end, read_tally
 
 __all__ = ["SqliteLog"]
 
+logger = logging.getLogger(__name__)
+
 _INSERT: Final = f"INSERT INTO trial (task, {TRIAL_COLUMNS}) VALUES ({', '.join('?' * 14)})"
 _FIND: Final = "SELECT seq, digest FROM trial WHERE task = ? AND id = ?"
 _ROW: Final = f"SELECT {ROW_COLUMNS} FROM trial WHERE task = ? AND id = ?"
+_CLOSE_PATIENCE_S: Final = 0.5  # with a commit that is under way
 _MARK: Final = "UPDATE trial SET present_cost = ?, removed = ?, digest = ? WHERE task = ? AND id = ?"
 
 
@@ -51,7 +55,7 @@ class SqliteLog:
             self._tally = Tally(directory, self._positions)
             undo.pop_all()
         self._writing = threading.Lock()
-        self._closed = False
+        self._closing = self._closed = False
 
     def create(self, spec: TaskSpec) -> Event:
         """Stores a new task; its create event has seq 1."""
@@ -125,7 +129,21 @@ class SqliteLog:
             )
 
     def close(self) -> None:
-        """Empties the write-ahead log into the database and frees the directory; idempotent."""
+        """Empties the write-ahead log into the database and frees the directory; idempotent.
+
+        A commit that is under way is waited for. One that takes long is left to end by itself, and then closes the log;
+        that is told by a `StorageError`.
+        """
+        self._closing = True
+        if not self._writing.acquire(timeout=_CLOSE_PATIENCE_S):
+            raise StorageError(f"a commit to {self.path} takes longer than {_CLOSE_PATIENCE_S} s; it ends by itself")
+        try:
+            self._end()
+        finally:
+            self._writing.release()
+
+    def _end(self) -> None:
+        """Whoever calls it holds the writing lock: SQLite must not be closed under a statement that runs."""
         if self._closed:
             return
         self._closed = True
@@ -141,6 +159,8 @@ class SqliteLog:
     @contextmanager
     def _transaction(self, doing: str) -> Iterator[sqlite3.Connection]:
         with self._writing, storage_errors(doing):
+            if self._closing:
+                raise StorageError(f"cannot {doing}: the task log is closed")
             self._writer.execute("BEGIN IMMEDIATE")
             self._added = 0
             try:
@@ -152,6 +172,16 @@ class SqliteLog:
                 if self._writer.in_transaction:
                     self._writer.execute("ROLLBACK")
                 raise
+            finally:
+                self._end_if_closing()
+
+    def _end_if_closing(self) -> None:
+        """What was committed is: an end that goes wrong is no failure of it."""
+        if self._closing:
+            try:
+                self._end()
+            except StorageError as error:
+                logger.warning("the task log was not closed cleanly: %s", error.message)
 
 
 def _refuse_what_lost_its_end(path: Path) -> None:

@@ -50,7 +50,7 @@ class SqliteReader:
             raise StorageError(f"there is no task log {path}")
         self.path = path
         self._threads = threading.local()
-        self._open: list[sqlite3.Connection] = []
+        self._open: list[tuple[threading.Thread, sqlite3.Connection]] = []
         with read_errors(f"open the task log {path}"):
             self.is_log: Final = check_version(self._connection(), path)
 
@@ -183,9 +183,14 @@ class SqliteReader:
             partial.unlink(missing_ok=True)
 
     def close(self) -> None:
-        """Closes the connections of all threads; idempotent."""
+        """Closes the connections of this thread and of those that ended; idempotent.
+
+        One that another thread may just be reading from is left to that thread: to close it would end the process.
+        """
         while self._open:
-            self._open.pop().close()
+            thread, connection = self._open.pop()
+            if thread is threading.current_thread() or not thread.is_alive():
+                connection.close()
 
     def _key(self, task: str) -> int:
         row = self._connection().execute("SELECT id FROM task WHERE name = ?", (task,)).fetchone()
@@ -197,7 +202,7 @@ class SqliteReader:
         connection: sqlite3.Connection | None = getattr(self._threads, "connection", None)
         if connection is None:
             connection = self._threads.connection = connect(self.path, read_only=True)
-            self._open.append(connection)
+            self._open.append((threading.current_thread(), connection))
         return connection
 
 

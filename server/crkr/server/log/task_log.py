@@ -87,5 +87,5 @@ class TaskLog(Protocol):
         ...
 
     def close(self) -> None:
-        """Ends all work; idempotent."""
+        """Ends all work; idempotent. Work that goes on for long ends by itself, which is told by a `StorageError`."""
         ...

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import threading
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -86,9 +87,27 @@ class Unmoved(Reaching):
         return Outcome(None, False, False, None, {"reason": "out of reach"}, None)
 
 
+class Stuck(Reaching):
+    """Simulates well for a while, and then for ever."""
+
+    def __init__(self, options: SkillOptions) -> None:
+        super().__init__(options)
+        self._left = 40
+
+    def execute(self, goal: Floats) -> Outcome:
+        self._left -= 1
+        if self._left < 0:
+            threading.Event().wait()
+        return super().execute(goal)
+
+
 def make(options: SkillOptions) -> Reaching:
     return Reaching(options)
 
 
 def make_unmoved(options: SkillOptions) -> Reaching:
     return Unmoved(options)
+
+
+def make_stuck(options: SkillOptions) -> Reaching:
+    return Stuck(options)

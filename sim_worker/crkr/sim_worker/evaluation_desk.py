@@ -45,6 +45,10 @@ class EvaluationDesk:
         """How many epochs are still to be judged."""
         return len(self._duties)
 
+    def owed_by(self, member: Member) -> bool:
+        """Whether a worker has something to judge."""
+        return any(duty.member is member for duty in self._duties.values())
+
     def look(self, clock: EpochClock | None, trained: int, workers: Sequence[Member]) -> None:
         """Gives every epoch that the clock says has ended to the worker with the fewest; no clock names none."""
         for epoch in () if clock is None else clock.ended(trained):

@@ -68,6 +68,7 @@ class Evaluator:
             return
         examination = self._waiting[0]
         examination.play_next()
+        self._orders.tell("played")
         if examination.finished:
             self._waiting.popleft()
             self._hand_in(examination)

@@ -33,6 +33,7 @@ class Member:
         line: Our end of the line to it.
         tickets: Trials that it may still do or has under way.
         reason: Why it ended, if it said so.
+        silent_s: How long it had made no progress when it was given up, or None [s].
     """
 
     name: str
@@ -40,6 +41,7 @@ class Member:
     line: Line
     tickets: int = 0
     reason: str | None = None
+    silent_s: float | None = None
 
     def order(self, order: str, **fields: Any) -> None:
         """Sends an order; one that cannot arrive is no loss, since the process's end will be seen."""
@@ -48,9 +50,16 @@ class Member:
         except LineClosed:
             return
 
+    def give_up(self, silent_s: float) -> None:
+        """Kills it, whatever it is doing; its end is seen as any other."""
+        self.silent_s = silent_s
+        self.process.kill()
+
     def ending(self) -> str:
         """How it ended, in words."""
         code = self.process.exitcode
+        if self.silent_s is not None:
+            return f"made no progress for {self.silent_s:.0f} s and was killed"
         if self.reason is not None:
             return f"ended: {self.reason}"
         if code is not None and code < 0:

@@ -29,6 +29,7 @@ class LaunchPlan:
         seed: Seed of demonstrations and workers.
         timeout_s: Deadline of a call; within the patience it is made again [s].
         patience_s: How long the server may be away [s].
+        stall_s: How long a worker that owes something may make no progress, beside the time of its calls [s].
         wait: Reports return when the model includes the trial.
         log_level: For the processes.
     """
@@ -44,6 +45,7 @@ class LaunchPlan:
     seed: int
     timeout_s: float
     patience_s: float
+    stall_s: float
     wait: bool
     log_level: str
 

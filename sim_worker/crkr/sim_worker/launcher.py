@@ -14,6 +14,7 @@ from crkr.sim_worker.fleet import Fleet, Member
 from crkr.sim_worker.judging import JudgeSeat
 from crkr.sim_worker.launch_plan import LaunchPlan, LaunchReport
 from crkr.sim_worker.quota import Quota
+from crkr.sim_worker.stall import StallWatch
 from crkr.sim_worker.stop_request import StopRequest
 from crkr.sim_worker.worker_process import ProcessSettings, run_worker
 
@@ -69,7 +70,9 @@ class Launcher:
         self._quota = Quota(plan.total, trained)
         self._complete = plan.total is not None and trained >= plan.total
         self._workers: list[Member] = []
-        self._away: set[str] = set()
+        self._away: set[Member] = set()
+        # A call may take its time twice in a trial before the worker says that the server is away.
+        self._stalls: StallWatch[Member] = StallWatch(plan.stall_s + 2 * plan.timeout_s)
         self._next_poll = 0.0
         self._started = time.monotonic()
 
@@ -88,6 +91,7 @@ class Launcher:
                     self._look()
                 self._poll()
                 self._look()
+                self._give_up_who_hangs()
                 self._show(self._quota.trained, self._remark())
             self._report.stopped_by = stop.signal
             for member, event in fleet.stop():
@@ -154,6 +158,7 @@ class Launcher:
         if event is None:
             self._lose(member)
             return
+        self._stalls.heard(member)
         self._count(member, event)
         match event:
             case {"event": "failed", "reason": reason}:
@@ -161,9 +166,9 @@ class Launcher:
             case {"event": "away", "reason": reason}:
                 if not self._away:
                     self._say(f"warning: {reason}; trying again for {self._plan.patience_s:g} s")
-                self._away.add(member.name)
+                self._away.add(member)
             case {"event": "back"}:
-                self._away.discard(member.name)
+                self._away.discard(member)
                 if not self._away:
                     self._say("the server answers again")
 
@@ -177,8 +182,16 @@ class Launcher:
                 self._report.trials += 1
                 self._report.successes += bool(success)
 
+    def _give_up_who_hangs(self) -> None:
+        busy = [worker for worker in self._workers if worker.tickets or self._desk.owed_by(worker)]
+        hanging = self._stalls.look(
+            [worker for worker in busy if worker.silent_s is None], self._away, self._plan.patience_s
+        )
+        for worker, silent_s in hanging.items():
+            worker.give_up(silent_s)
+
     def _lose(self, worker: Member) -> None:
-        self._away.discard(worker.name)
+        self._away.discard(worker)
         self._workers.remove(worker)
         self._desk.lose(worker)
         self._report.workers_lost += 1

@@ -90,6 +90,7 @@ def _work(settings: ProcessSettings, task: Task, skill: Skill, orders: Orders) -
     telemetry, identity = Telemetry(task, skill.scene()), settings.identity
     loop = TrialLoop(task, skill, identity, orders, telemetry, wait=settings.wait)
     evaluator = Evaluator(task, skill, settings.evaluations, identity.worker, orders, telemetry)
+    orders.tell("ready")
     try:
         while True:
             if orders.waiting() or not evaluator.busy:

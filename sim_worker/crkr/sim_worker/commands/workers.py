@@ -35,6 +35,10 @@ Seed = Annotated[
     ),
 ]
 Patience = Annotated[float, typer.Option(min=0.1, metavar="SECONDS", help="How long the server may be away.")]
+Stall = Annotated[
+    float,
+    typer.Option(min=0.1, metavar="SECONDS", help="Kill a worker that makes no progress for so long, and go on."),
+]
 Wait = Annotated[
     bool, typer.Option("--wait", help="Let each trial wait for the model; one worker then repeats a run of its seed.")
 ]
@@ -52,6 +56,7 @@ def workers(
     preset: Preset = None,
     seed: Seed = None,
     patience: Patience = 60.0,
+    stall: Stall = 300.0,
     wait: Wait = False,
     connect: Connect = None,
     timeout: Timeout = 5.0,
@@ -92,6 +97,7 @@ def workers(
         seed=unpredictable_seed() if seed is None else seed,
         timeout_s=timeout,
         patience_s=patience,
+        stall_s=stall,
         wait=wait,
         log_level=log_level,
     )

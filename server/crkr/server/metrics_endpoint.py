@@ -8,6 +8,7 @@ import socket
 import socketserver
 import sys
 import threading
+from contextlib import suppress
 from types import TracebackType
 from typing import Any, Final, Self, final
 
@@ -22,6 +23,8 @@ __all__ = ["MetricsEndpoint"]
 logger = logging.getLogger(__name__)
 
 _PATIENCE_S: Final = 5.0  # with a scraper that says nothing
+_MOST: Final = 16  # connections at once; another one takes the place of the oldest
+_PAUSE_S: Final = 0.1  # where none can be taken, as the process has no file left
 _POLL_S: Final = 0.05  # so long its end may take
 
 
@@ -76,6 +79,40 @@ class _Http(socketserver.ThreadingTCPServer):
     allow_reuse_address = True
     daemon_threads = True
     block_on_close = False
+    request_queue_size = 4 * _MOST
+
+    def __init__(self, address: tuple[str, int], handler: Any) -> None:
+        self._open: dict[socket.socket, None] = {}  # the oldest first
+        self._changing = threading.Lock()
+        self._closing = threading.Event()
+        super().__init__(address, handler)
+
+    def get_request(self) -> tuple[socket.socket, Any]:
+        try:
+            return super().get_request()
+        except OSError:  # who waits is still there, so that the next look would find them at once
+            self._closing.wait(_PAUSE_S)
+            raise
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        with self._changing:
+            oldest = next(iter(self._open)) if len(self._open) >= _MOST else None
+            if oldest is not None:
+                del self._open[oldest]
+            self._open[request] = None
+        if oldest is not None:
+            with suppress(OSError):  # it ended by itself
+                oldest.shutdown(socket.SHUT_RDWR)
+        super().process_request(request, client_address)
+
+    def shutdown_request(self, request: Any) -> None:
+        with self._changing:
+            self._open.pop(request, None)
+        super().shutdown_request(request)
+
+    def server_close(self) -> None:
+        self._closing.set()
+        super().server_close()
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         del request

@@ -63,6 +63,17 @@ def feed(notebook: Notebook) -> Feed:
     return Feed(notebook)
 
 
+def test_an_evaluation_that_waits_for_more_trials_is_told_at_the_end(
+    feed: Feed, notebook: Notebook, stored: Make
+) -> None:
+    feed.news(News(trials=tuple(stored(seq, "evaluation", info={"epoch": 0}) for seq in (1, 2))), 0.0)
+    feed.step(0.0)
+    assert notebook.epochs == []
+    feed.finish()
+    feed.finish()
+    assert notebook.epochs == [0]
+
+
 def test_a_picture_waits_until_the_log_has_its_trial(
     feed: Feed, notebook: Notebook, stored: Make, message: Message
 ) -> None:

@@ -81,18 +81,19 @@ def test_silence_grows_while_the_server_does_not_answer(stored: Make) -> None:
 
 def test_a_terminal_says_what_the_task_says_of_itself() -> None:
     text = io.StringIO()
-    console = Console(file=text, force_terminal=True, width=160, height=60, color_system=None)
+    console = Console(file=text, force_terminal=True, width=40, height=60, color_system=None, soft_wrap=True)
     with TerminalDisplay(console, "crane") as display:
-        display.task("Lift [bold] loads.")
+        display.task("Lift [bold] loads. Cost: how far they swing, and no more than that.")
         display.finish(Feed(display).progress)
-    assert "Lift [bold] loads." in text.getvalue()
+    words = " ".join(text.getvalue().replace("│", " ").split())
+    assert "Lift [bold] loads. Cost: how far they swing, and no more than that." in words
 
 
 def test_without_a_terminal_there_are_plain_lines(run: list[News]) -> None:
     text = shown(False, run)
     assert "\x1b" not in text
     assert "epoch 1: hit 1.00 of 2 evaluation trials" in text.splitlines()
-    assert any("trials 4" in line and "active 17 of 40" in line for line in text.splitlines())
+    assert any("training trials 4 " in line and "active 17 of 40 samples" in line for line in text.splitlines())
 
 
 def test_a_run_without_trials_can_be_shown() -> None:

@@ -102,6 +102,7 @@ class _Session:
             return feed
         view.task(_description(task))
         follow(self.client, task, feed, tick_s, lambda: goes_on() and not self.stop)
+        feed.finish()
         return feed
 
 

@@ -8,6 +8,7 @@ poses, widths, durations. A picture waits until its trial was read from the log,
 from __future__ import annotations
 
 import logging
+import math
 from collections import OrderedDict, deque
 from collections.abc import Mapping
 from typing import Any, Final, final
@@ -110,6 +111,11 @@ class Feed:
                 self.dropped += 1
         self._waiting = later
         self._view.tick(now, self.progress)
+
+    def finish(self) -> None:
+        """Passes on evaluations that were still waiting for more trials: none will come."""
+        for result in self.progress.finished_epochs(math.inf):
+            self._view.epoch(result, self.progress)
 
     def _remember(self, rows: list[Row]) -> None:
         for row in rows[-MAX_REMEMBERED:]:

@@ -32,6 +32,11 @@ def sparkline(shares: Sequence[float], width: int = 40) -> str:
     return "".join(BARS[min(len(BARS) - 1, int(len(BARS) * max(share, 0.0)))] for share in shares[-width:])
 
 
+def _text(line: str, style: str = "") -> Text:
+    """A line that wraps where the terminal is narrow, whatever the console does with plain lines."""
+    return Text(line, style=style, no_wrap=False, overflow="fold")
+
+
 @final
 class TerminalDisplay:
     """Shows a run as text; implements `View`, to be used as a context manager.
@@ -114,9 +119,9 @@ class TerminalDisplay:
         """All tables; `now` is monotonic [s]."""
         tables = [self._success(progress), self._reasons(progress), self._workers(progress, now), self._server()]
         shown = [table for table in tables if table.row_count]
-        head, about = Text(self._line(progress), style="bold"), Text(self._description, style="dim")
+        head, about = _text(self._line(progress), "bold"), _text(self._description, "dim")
         return Panel(
-            Group(head, about, Text(), Columns(shown, padding=(0, 3)), *map(Text, self._messages)),
+            Group(head, about, Text(), Columns(shown, padding=(0, 3)), *map(_text, self._messages)),
             title=f"crkr watch {self._task}",
             title_align="left",
         )
@@ -127,13 +132,13 @@ class TerminalDisplay:
         status = self._status
         success = ", ".join(f"{name} {percent(progress.window.rate(name))}" for name in progress.criteria)
         return (
-            f"trials {progress.trials}  {speed:.1f}/s  epoch {progress.epoch}  "
-            f"active {status.get('active', '-')} of {status.get('eligible', '-')}"
+            f"training trials {progress.trials}  {speed:.1f}/s  epoch {progress.epoch}  "
+            f"active {status.get('active', '-')} of {status.get('eligible', '-')} samples"
             + (f"  last 50: {success}" if len(progress.window) else "")
         )
 
     def _success(self, progress: Progress) -> Table:
-        table = Table("evaluation", "by epoch", "first", "newest", "95 %", title_justify="left")
+        table = Table("evaluation", "by epoch", "first", "newest", "95 % interval", title_justify="left")
         results = sorted((r for r in progress.epochs.values() if r.closed), key=lambda result: result.epoch)
         for name in progress.criteria if results else ():
             rates = [result.rate(name) for result in results]
@@ -154,14 +159,14 @@ class TerminalDisplay:
         return table
 
     def _workers(self, progress: Progress, now: float) -> Table:
-        table = Table("worker", "state", "trials", "last heard")
+        table = Table("worker", "state", "reported", "last heard")
         for worker in worker_rows(self._status, progress, now - self._answered)[:12]:
             quiet = "" if worker.quiet_s is None else f"{worker.quiet_s:.0f} s"
             table.add_row(Text(worker.name), Text(worker.state), str(worker.trials), quiet)
         return table
 
     def _server(self) -> Table:
-        table = Table("server", "median", "p99")
+        table = Table("asked of the server", "median", "p99")
         for verb, (p50, p99) in sorted(latency_ms(self._status).items()):
             table.add_row(Text(verb), f"{p50:.2f} ms", f"{p99:.2f} ms")
         return table

@@ -35,7 +35,8 @@ def status_page(
     newest = max((result for result in progress.epochs.values() if result.closed), default=None, key=lambda r: r.epoch)
     kinds = progress.kinds
     lines = [
-        f"**{_plain(task)}**: **{progress.trials}** trials, **{trials_per_second:.1f}**/s, epoch **{progress.epoch}**",
+        f"**{_plain(task)}**: **{progress.trials}** training trials, **{trials_per_second:.1f}**/s, "
+        f"epoch **{progress.epoch}**",
         "",
     ]
     if newest is not None:
@@ -46,7 +47,7 @@ def status_page(
         f"{kinds['demonstration']} demonstrations, {kinds['evaluation']} evaluation trials, {kinds['failed']} failed",
         "",
         *_table(
-            ("worker", "state", "trials", "last heard"),
+            ("worker", "state", "reported", "last heard"),
             [
                 (worker.name, worker.state, worker.trials, "" if worker.quiet_s is None else f"{worker.quiet_s:.0f} s")
                 for worker in worker_rows(status, progress, status_age_s)[:16]
@@ -54,7 +55,7 @@ def status_page(
         ),
         "",
         *_table(
-            ("server", "median", "p99"),
+            ("asked of the server", "median", "p99"),
             [(verb, f"{p50:.2f} ms", f"{p99:.2f} ms") for verb, (p50, p99) in sorted(latency_ms(status).items())],
         ),
     ]

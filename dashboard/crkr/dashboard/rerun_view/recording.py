@@ -16,6 +16,7 @@ __all__ = ["APPLICATION", "Recording"]
 _logger = logging.getLogger(__name__)
 APPLICATION: Final = "crkr"  # the viewer keeps a user's layout by it; a run is a recording within it
 FLUSH_EVERY_S: Final = 0.2
+LAYOUT_S: Final = 5.0
 
 
 @final
@@ -58,20 +59,24 @@ class Recording:
         self._stream.send_columns(rr.new_entity_path(list(path)), indexes=times, columns=content)
 
     def layout(self, blueprint: rrb.Blueprint) -> None:
-        """Arranges the viewers; a second time would undo what their users changed."""
+        """Arranges the viewers before they get anything else; a second time would undo what their users changed."""
         self._stream.send_blueprint(blueprint, make_active=True, make_default=True)
+        self._flush(LAYOUT_S)  # or data, which takes another way through Rerun, might overtake it
 
     def close(self, within_s: float) -> bool:
         """Writes out what is buffered and ends the file; returns whether it was done in time."""
 
         def finish() -> None:
-            try:
-                self._stream.flush(timeout_sec=within_s)
-            except (RuntimeError, ValueError) as error:  # a viewer did not take its part; the file is written next
-                _logger.warning("the recording's last data may not have reached every viewer: %s", error)
+            self._flush(within_s)
             self._stream.disconnect()
 
         thread = threading.Thread(target=finish, name="crkr-recording", daemon=True)
         thread.start()
         thread.join(timeout=within_s)
         return not thread.is_alive()
+
+    def _flush(self, within_s: float) -> None:
+        try:
+            self._stream.flush(timeout_sec=within_s)
+        except (RuntimeError, ValueError) as error:  # a viewer did not take its part; a file is written at the end
+            _logger.warning("not all of the recording may have reached every viewer yet: %s", error)

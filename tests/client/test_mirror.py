@@ -1,9 +1,7 @@
 """A local copy of a policy answers as the server does, follows it, goes on without it, and says how old it is."""
 
-import re
 import threading
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 from uuid import UUID, uuid4
 
@@ -251,15 +249,3 @@ def test_a_model_that_cannot_be_read_leaves_the_copy_as_it_was(make_peer: Callab
             mirror.refresh()
         assert isinstance(mirror.fault, Internal)
         np.testing.assert_array_equal(mirror.predict(PROBES).goals, before.goals)
-
-
-def test_the_documented_program_runs_as_it_is_printed(start_server: Callable[..., Any], capsys: Any) -> None:
-    document = (Path(__file__).parents[2] / "docs/mirror.md").read_text()
-    [program] = re.findall(r"```python\n(.*?)```", document, re.DOTALL)
-    endpoint = start_server().endpoint
-    with Client(endpoint) as client:
-        state = [{"name": f"s{number}", "low": -6, "high": 6} for number in range(6)]
-        task = client.create_task(specification(name="table-tennis", state=state))
-        task.report(state=np.zeros(6), goal=np.zeros(3), cost=0.1, success=True, wait=True)
-    exec(compile(program.replace("tcp/127.0.0.1:7447", endpoint), "mirror.md", "exec"), {})
-    assert capsys.readouterr().out.startswith("[0. 0. 0.] ")

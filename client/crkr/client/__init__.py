@@ -10,15 +10,17 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from crkr.client.client import Client, TaskSummary
+    from crkr.client.outbox import Outbox
     from crkr.client.presence import Presence
     from crkr.client.role import Role
     from crkr.client.subscription import Subscription
     from crkr.client.task import Task
 
-__all__ = ["Client", "Presence", "Role", "Subscription", "Task", "TaskSummary"]
+__all__ = ["Client", "Outbox", "Presence", "Role", "Subscription", "Task", "TaskSummary"]
 
 _HOME = {
     "Client": "client",
+    "Outbox": "outbox",
     "Presence": "presence",
     "Role": "role",
     "Subscription": "subscription",

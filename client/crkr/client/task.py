@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 from uuid import UUID
 
+from crkr.client.outbox import Outbox
 from crkr.client.presence import Presence
 from crkr.client.rpc import Rpc, plain, reading
 from crkr.client.subscription import TOPICS, Subscription
@@ -294,6 +296,16 @@ class Task:
             wanted = "a local copy of a policy needs the extra 'mirror': pip install 'crkr[mirror]'"
             raise ModuleNotFoundError(wanted, name=error.name) from error
         return Mirror(self, every_s=every_s, pause_s=pause_s, max_age_s=max_age_s, timeout_s=timeout_s)
+
+    def outbox(self, path: Path | str) -> Outbox:
+        """Reports that wait in a file until the server answers; see `Outbox`.
+
+        Raises:
+            StorageError: The file cannot be opened, is no outbox, or another process has it open.
+            Conflict: It belongs to another task.
+            Unavailable: The file is new and no server tells the task's specification.
+        """
+        return Outbox(self._rpc, self.name, Path(path), lambda: self.spec)
 
     def _read(self, verb: str, message: Mapping[str, Any], timeout_s: float | None) -> dict[str, Any]:
         reply = self._rpc.call(task_key(self.name, verb), message, timeout_s)

@@ -1,0 +1,191 @@
+"""The file of an outbox: trials in the order they were reported, until the server has them.
+
+One SQLite database for one task, held by one process at a time. A trial is in it when `add` returns, after an fsync;
+each row has a digest, so that a trial is never sent otherwise than it was reported.
+"""
+
+from __future__ import annotations
+
+import sqlite3
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from hashlib import blake2b
+from pathlib import Path
+from typing import Any, Final, NamedTuple, final
+from uuid import UUID
+
+from crkr.protocol import Conflict, CrkrError, StorageError, TaskSpec, Trial, pack, unpack
+
+__all__ = ["OutboxFile", "Refused"]
+
+_APPLICATION: Final = 0x63726B6F  # "crko"; `file` and SQLite tools show it
+_SCHEMA: Final = 1
+_TABLES: Final = """
+CREATE TABLE about (task TEXT NOT NULL, spec BLOB NOT NULL);
+CREATE TABLE trial (number INTEGER PRIMARY KEY AUTOINCREMENT, body BLOB NOT NULL, digest BLOB NOT NULL, error TEXT);
+"""
+_IN_USE: Final = ("SQLITE_BUSY", "SQLITE_LOCKED")
+
+
+class Refused(NamedTuple):
+    """A trial that the server does not take.
+
+    Attributes:
+        number: Its place in the file.
+        id: The trial's.
+        error: The server's words.
+        trial: All of it, as it would have been sent.
+    """
+
+    number: int
+    id: UUID
+    error: str
+    trial: dict[str, Any]
+
+
+@final
+class OutboxFile:
+    """Trials to be sent; any thread may call it.
+
+    Args:
+        path: Made where it is not there.
+        task: The task's name.
+
+    Raises:
+        StorageError: It cannot be opened, is none of these files, or another process has it open.
+        Conflict: It belongs to another task.
+    """
+
+    def __init__(self, path: Path, task: str) -> None:
+        self._path, self._task = path, task
+        self._lock = threading.Lock()
+        self._spec: TaskSpec | None = None
+        with self._errors("opened"):
+            self._database = sqlite3.connect(path, timeout=0.0, isolation_level=None, check_same_thread=False)
+        try:
+            with self._errors("opened"):
+                self._prepare()
+        except BaseException:
+            self._database.close()
+            raise
+
+    @property
+    def spec(self) -> TaskSpec | None:
+        """The task's specification, once `describe` was told it."""
+        return self._spec
+
+    def describe(self, spec: TaskSpec) -> TaskSpec:
+        """Keeps the specification, so that trials can be checked without a server the next time; returns it."""
+        with self._writing("written") as database:
+            database.execute("DELETE FROM about")
+            database.execute("INSERT INTO about VALUES (?, ?)", (self._task, pack(spec.to_dict())))
+        self._spec = spec
+        return spec
+
+    def add(self, trials: Sequence[Trial]) -> None:
+        """Keeps trials, all or none; they are on the disk when this returns.
+
+        Raises:
+            StorageError: They could not be written; none is kept.
+        """
+        bodies = [pack(trial.to_wire()) for trial in trials]
+        with self._writing("written") as database:
+            database.executemany(
+                "INSERT INTO trial (body, digest) VALUES (?, ?)", [(body, _digest(body)) for body in bodies]
+            )
+
+    def pending(self) -> int:
+        """How many trials are still to be sent."""
+        with self._lock, self._errors("read"):
+            return int(self._database.execute("SELECT count(*) FROM trial WHERE error IS NULL").fetchone()[0])
+
+    def next(self, most: int) -> list[tuple[int, dict[str, Any]]]:
+        """The first that are to be sent: number and trial as a message map."""
+        query = "SELECT number, body, digest FROM trial WHERE error IS NULL ORDER BY number LIMIT ?"
+        with self._lock, self._errors("read"):
+            rows = self._database.execute(query, (most,)).fetchall()
+        return [(number, self._trial(number, body, digest)) for number, body, digest in rows]
+
+    def delivered(self, numbers: Sequence[int]) -> None:
+        """Forgets trials that the server has."""
+        with self._writing("written") as database:
+            database.executemany("DELETE FROM trial WHERE number = ?", [(number,) for number in numbers])
+
+    def refuse(self, number: int, error: str) -> None:
+        """Puts a trial aside that the server does not take."""
+        with self._writing("written") as database:
+            database.execute("UPDATE trial SET error = ? WHERE number = ?", (error, number))
+
+    def refused(self) -> list[Refused]:
+        """What was put aside."""
+        query = "SELECT number, body, digest, error FROM trial WHERE error IS NOT NULL ORDER BY number"
+        with self._lock, self._errors("read"):
+            rows = self._database.execute(query).fetchall()
+        trials = [(number, self._trial(number, body, digest), error) for number, body, digest, error in rows]
+        return [Refused(number, UUID(bytes=trial["id"]), error, trial) for number, trial, error in trials]
+
+    def close(self) -> None:
+        """Frees the file."""
+        with self._lock:
+            self._database.close()
+
+    def _prepare(self) -> None:
+        execute = self._database.execute
+        execute("PRAGMA locking_mode = EXCLUSIVE")
+        execute("PRAGMA journal_mode = WAL")
+        execute("PRAGMA synchronous = FULL")
+        execute("BEGIN IMMEDIATE")  # takes the lock, and keeps it in this mode
+        kind, version = (execute(f"PRAGMA {name}").fetchone()[0] for name in ("application_id", "user_version"))
+        empty = execute("SELECT count(*) FROM sqlite_master").fetchone()[0] == 0
+        if empty:
+            for statement in _TABLES.strip().split("\n"):
+                execute(statement)
+            execute(f"PRAGMA application_id = {_APPLICATION}")
+            execute(f"PRAGMA user_version = {_SCHEMA}")
+        elif (kind, version) != (_APPLICATION, _SCHEMA):
+            raise StorageError(f"{self._path} is no outbox, or one of another version of crkr; choose another file")
+        about = execute("SELECT task, spec FROM about").fetchone()
+        if about is not None:
+            if about[0] != self._task:
+                raise Conflict(f"the outbox {self._path} is one of task {about[0]!r}, not {self._task!r}")
+            self._spec = TaskSpec.from_dict(unpack(about[1]))
+        execute("COMMIT")
+
+    def _trial(self, number: int, body: bytes, digest: bytes) -> dict[str, Any]:
+        try:
+            intact = _digest(body) == digest
+        except TypeError:
+            intact = False
+        if not intact:
+            raise StorageError(f"trial {number} of the outbox {self._path} is damaged: it does not match its digest")
+        return unpack(body)
+
+    @contextmanager
+    def _writing(self, what: str) -> Iterator[sqlite3.Connection]:
+        with self._lock, self._errors(what):
+            self._database.execute("BEGIN IMMEDIATE")
+            try:
+                yield self._database
+                self._database.execute("COMMIT")
+            except BaseException:
+                if self._database.in_transaction:
+                    self._database.execute("ROLLBACK")
+                raise
+
+    @contextmanager
+    def _errors(self, what: str) -> Iterator[None]:
+        try:
+            yield
+        except (sqlite3.Error, sqlite3.Warning) as error:
+            if str(getattr(error, "sqlite_errorname", "")).startswith(_IN_USE):
+                raise StorageError(f"the outbox {self._path} is in use already; give each process its own") from error
+            raise StorageError(f"the outbox {self._path} cannot be {what}: {error}") from error
+        except CrkrError:
+            raise
+        except (TypeError, ValueError, LookupError) as error:
+            raise StorageError(f"the outbox {self._path} holds what was never written ({error})") from error
+
+
+def _digest(body: bytes) -> bytes:
+    return blake2b(body, digest_size=16).digest()

@@ -45,9 +45,37 @@ def test_a_picture_shows_ball_and_paddle_in_their_colours(
             save_picture(artist, motion, tmp_path / "trial.jpg")
     red, green, blue = np.moveaxis(imread(tmp_path / "trial.png")[..., :3], 2, 0)
     assert red.shape == (360, 640)
-    # What moves is blended with what does not; the brown floor has blue within 0.15 of its red.
+    # The brown floor has blue within 0.15 of its red.
     assert ((red > 0.6) & (red - blue > 0.35) & (green - blue > 0.1)).sum() > 10  # the ball's orange
     assert ((red > 0.3) & (red - blue > 0.2) & (np.abs(green - blue) < 0.05)).sum() > 10  # the blade's red
+
+
+def test_an_exposure_shows_what_moves_at_every_moment_and_the_arm_solid_at_one(
+    simulation: Simulation, motion: Motion
+) -> None:
+    last = len(motion.time) - 1
+    with Artist(simulation, 320, 180) as artist:
+        still, first = artist.exposure(motion, [last], last), artist.exposure(motion, [0, last], last)
+        other = artist.exposure(motion, [0, last], 0)
+        alone = artist.frame(motion, last)
+    assert (still == alone).all()
+    added = np.abs(first.astype(int) - still).max(axis=2) > 10
+    assert 0.002 < added.mean() < 0.2
+    assert (first != other).any()
+
+
+def test_the_balls_path_changes_colour_at_the_hit_time(simulation: Simulation, skill: TableTennis) -> None:
+    moved = skill.film(*planned(skill, 3, 0), 0.01)
+    assert moved is not None
+    hit = int(np.searchsorted(moved.time, moved.hit_time))
+    pale, strong = [], []
+    with Artist(simulation, 320, 180) as artist:
+        for row in (hit - 1, len(moved.time) - 1):
+            red, green, blue = np.moveaxis(artist.frame(moved, row) / 255, 2, 0)
+            pale.append(((red > 0.6) & (green > 0.55) & (red - blue > 0.1)).sum())
+            strong.append(((red > 0.5) & (red - green > 0.2) & (green - blue > 0.1)).sum())
+    assert pale[0] > 20
+    assert strong[1] > strong[0] + 20
 
 
 def test_a_sequence_shows_six_moments_each_with_a_caption(

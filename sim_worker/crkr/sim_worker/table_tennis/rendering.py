@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self, final
@@ -12,7 +12,6 @@ from typing import Any, Final, Self, final
 import mujoco
 import numpy as np
 from mujoco.rendering.classic import gl_context
-from numpy.typing import NDArray
 
 from crkr.protocol import Invalid, Unsupported
 from crkr.sim_worker.table_tennis.film import Picture
@@ -21,10 +20,12 @@ from crkr.sim_worker.table_tennis.tracing import Motion
 
 __all__ = ["Artist", "save_picture", "save_sequence"]
 
-EXPOSURES: Final = 6  # moments shown in one picture
-THRESHOLD: Final = 20  # difference from the still scene that counts as moving [of 255]
-TRAIL_RADIUS: Final = 0.006  # [m]
-TRAIL_COLOUR: Final = np.array([1.0, 0.6, 0.1, 0.6], dtype=np.float32)
+CAMERA: Final = "side"  # of the scene
+HIT: Final = 3  # which of the six moments is the hit time
+GHOST: Final = 0.3  # opacity of the arm at the other ones
+PATH_RADIUS: Final = 0.007  # [m]
+COMING: Final = np.array([1.0, 0.9, 0.55, 1.0], dtype=np.float32)
+RETURNED: Final = np.array([1.0, 0.45, 0.05, 1.0], dtype=np.float32)
 
 
 @final
@@ -66,21 +67,47 @@ class Artist:
 
     def frame(self, motion: Motion, row: int) -> Picture:
         """The scene (h, w, 3) at one row of a motion, with the ball's path up to then."""
+        self._pose(motion, row)
+        self._renderer.update_scene(self._data, camera=CAMERA)
+        self._draw_path(motion, row)
+        return np.array(self._renderer.render())
+
+    def exposure(self, motion: Motion, rows: Iterable[int], solid: int) -> Picture:
+        """The scene (h, w, 3) at several rows of a motion at once, the arm see-through at all but `solid`."""
+        self._pose(motion, solid)
+        self._renderer.update_scene(self._data, camera=CAMERA)
+        for row in rows:
+            if row != solid:
+                self._pose(motion, row)
+                self._add_ghost()
+        self._draw_path(motion, len(motion.time) - 1)
+        return np.array(self._renderer.render())
+
+    def _pose(self, motion: Motion, row: int) -> None:
         data = self._data
         data.qpos[:6], data.qpos[6:9] = motion.joints[row], motion.ball[row]
         data.qpos[9:13] = (1.0, 0.0, 0.0, 0.0)
         mujoco.mj_forward(self._simulation.model, data)
-        self._renderer.update_scene(data, camera="side")
-        for point in motion.ball[:row]:
-            self._mark(point)
-        return np.array(self._renderer.render())
 
-    def _mark(self, point: NDArray[np.float64]) -> None:
-        scene = self._renderer.scene
-        if scene.ngeom < scene.maxgeom:
-            size, turn = np.full(3, TRAIL_RADIUS), np.eye(3).ravel()
-            sphere = mujoco.mjtGeom.mjGEOM_SPHERE
-            mujoco.mjv_initGeom(scene.geoms[scene.ngeom], sphere, size, point, turn, TRAIL_COLOUR)
+    def _add_ghost(self) -> None:
+        """What moves, once more, where it is posed now."""
+        model, scene = self._simulation.model, self._renderer.scene
+        first, moving = scene.ngeom, mujoco.mjtCatBit.mjCAT_DYNAMIC.value
+        mujoco.mjv_addGeoms(model, self._data, mujoco.MjvOption(), mujoco.MjvPerturb(), moving, scene)
+        for shape in scene.geoms[first : scene.ngeom]:
+            if model.geom_bodyid[shape.objid] != model.body("ball").id:
+                shape.rgba[3] *= GHOST
+
+    def _draw_path(self, motion: Motion, until: int) -> None:
+        """The ball's path, on its way in and after the hit time in two colours."""
+        scene, capsule = self._renderer.scene, mujoco.mjtGeom.mjGEOM_CAPSULE
+        for time, start, end in zip(motion.time[:until], motion.ball[:until], motion.ball[1:], strict=False):
+            if scene.ngeom == scene.maxgeom:
+                return
+            colour = COMING if time < motion.hit_time else RETURNED
+            shape = scene.geoms[scene.ngeom]
+            mujoco.mjv_initGeom(shape, capsule, np.zeros(3), np.zeros(3), np.eye(3).ravel(), colour)
+            mujoco.mjv_connector(shape, capsule, PATH_RADIUS, start, end)
             scene.ngeom += 1
 
 
@@ -96,29 +123,7 @@ def _prefer_headless() -> None:
 
 
 def save_picture(artist: Artist, motion: Motion, path: Path) -> None:
-    """Saves one picture of several moments, what moves drawn over what does not, as a .png.
-
-    Raises:
-        Invalid: Another suffix.
-    """
-    if path.suffix != ".png":
-        raise Invalid(f"a picture is a .png; got {path.name}")
-    from matplotlib.image import imsave
-
-    rows = np.linspace(0, len(motion.time) - 1, EXPOSURES).astype(int).tolist()
-    moments = np.array([artist.frame(motion, row) for row in rows], dtype=np.float64)  # (e, h, w, 3)
-    still = np.median(moments, axis=0)
-    composed = still
-    for moment in moments:
-        moved = np.abs(moment - still).max(axis=2, keepdims=True) > THRESHOLD
-        composed = np.where(moved, 0.35 * composed + 0.65 * moment, composed)
-    imsave(path, composed.astype(np.uint8))
-
-
-def save_sequence(artist: Artist, motion: Motion, path: Path) -> None:
-    """Saves six moments one beside the other, numbered and with their times, in two rows, as a .png.
-
-    They are the snapshot, two of the swing, the hit time, one of the return, and the end.
+    """Saves six moments in one picture as a .png, the arm solid at the hit time and see-through at the others.
 
     Raises:
         Invalid: Another suffix.
@@ -127,14 +132,33 @@ def save_sequence(artist: Artist, motion: Motion, path: Path) -> None:
         raise Invalid(f"a picture is a .png; got {path.name}")
     from PIL import Image
 
-    hit, end = motion.hit_time, float(motion.time[-1])
-    moments = (0.0, 0.5 * hit, 0.85 * hit, hit, 0.5 * (hit + end), end)
-    names = {0: ": snapshot", 3: ": hit time"}
-    frames = []
-    for index, moment in enumerate(moments):
-        row = int(np.abs(motion.time - moment).argmin())
-        frames.append(_captioned(artist.frame(motion, row), f"{index + 1}   {moment:.2f} s{names.get(index, '')}"))
+    rows = _moments(motion)
+    Image.fromarray(artist.exposure(motion, rows, solid=rows[HIT])).save(path)
+
+
+def save_sequence(artist: Artist, motion: Motion, path: Path) -> None:
+    """Saves six moments one beside the other, numbered and with their times, in two rows, as a .png.
+
+    Raises:
+        Invalid: Another suffix.
+    """
+    if path.suffix != ".png":
+        raise Invalid(f"a picture is a .png; got {path.name}")
+    from PIL import Image
+
+    names = {0: ": snapshot", HIT: ": hit time"}
+    frames = [
+        _captioned(artist.frame(motion, row), f"{index + 1}   {motion.time[row]:.2f} s{names.get(index, '')}")
+        for index, row in enumerate(_moments(motion))
+    ]
     Image.fromarray(np.vstack([np.hstack(frames[:3]), np.hstack(frames[3:])])).save(path)
+
+
+def _moments(motion: Motion) -> list[int]:
+    """Rows of the snapshot, two of the swing, the hit time, one of the return, and the end."""
+    hit, end = motion.hit_time, float(motion.time[-1])
+    times = (0.0, 0.5 * hit, 0.85 * hit, hit, 0.5 * (hit + end), end)
+    return [int(np.abs(motion.time - time).argmin()) for time in times]
 
 
 def _captioned(picture: Picture, text: str) -> Picture:

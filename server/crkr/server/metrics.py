@@ -37,6 +37,7 @@ _OF_A_TASK: Final = {
     "crkr_task_model_lag": "Log positions that the model has yet to apply.",
     "crkr_task_archived": "1 if the task answers reads only.",
     "crkr_task_faulty": "1 if the task stores trials but learns no more until a restart; see the server's log.",
+    "crkr_task_damaged": "1 if a stored row is not what was stored; see the server's log.",
 }
 
 
@@ -118,7 +119,7 @@ def _numbers(task: ServedTask) -> tuple[float, ...]:
     """In the order of the table above."""
     model = task.model  # before the log position, which is only ever ahead
     lag = task.seq - model.version
-    return task.eligible, model.active, model.version, lag, task.archived, bool(task.fault)
+    return task.eligible, model.active, model.version, lag, task.archived, bool(task.fault), bool(task.damage)
 
 
 def _histogram(name: str, text: str, times: Durations) -> Metric:

@@ -111,6 +111,8 @@ class Reader:
         }
         if task.fault:
             status["fault"] = task.fault
+        if task.damage:
+            status["damage"] = task.damage
         request.reply(status)
 
     def _model(self, request: Request) -> None:

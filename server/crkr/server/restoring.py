@@ -15,12 +15,12 @@ from crkr.server.log import Event, LoggedTrial, LogReader
 from crkr.server.radii_cache import load_radii
 from crkr.server.tasks import ServedTask
 
-__all__ = ["restore", "restore_all"]
+__all__ = ["FEW", "restore", "restore_all"]
 
 logger = logging.getLogger(__name__)
 
 _BATCH: Final = 4096
-_FEW: Final = 5000  # entries that are cheaper to learn as they come than all radii are to find anew
+FEW: Final = 5000  # entries that are cheaper to learn as they come, whole rows, than all radii are to find anew
 
 
 def restore_all(log: LogReader, path: Path) -> list[ServedTask]:
@@ -57,10 +57,10 @@ def restore(log: LogReader, name: str) -> ServedTask:
     if task.name != name:
         raise StorageError(f"the log of task {name!r} was begun as that of {task.name!r}; restore a backup")
     last, radii = log.last(name), load_radii(log, name)
-    if last <= _FEW:
+    if last <= FEW:
         _replay(task, log.read(name, 1))
     else:
-        usable = radii is not None and last - _FEW <= radii.version <= last
+        usable = radii is not None and last - FEW <= radii.version <= last
         upto = radii.version if radii is not None and usable else last
         with task.learner.bulk(radii if usable else None):
             _replay_blocks(task, log, upto)

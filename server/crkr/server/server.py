@@ -27,7 +27,8 @@ from crkr.server.predicting import Predictor
 from crkr.server.radii_cache import RadiiKeeper
 from crkr.server.reading import Reader
 from crkr.server.refusing import Refuser
-from crkr.server.restoring import restore_all
+from crkr.server.restoring import FEW, restore_all
+from crkr.server.seal_check import SealCheck
 from crkr.server.session import DEFAULT_LISTEN, open_session
 from crkr.server.tasks import ServedTask, Tasks
 from crkr.server.vitals import Vitals
@@ -93,6 +94,8 @@ class Server:
         self.vitals = Vitals(
             settings.data, self.tasks, self._latencies, self._workers, self._learning, commits, self._queues
         )
+        long = {task.name: task.seq for task in self.tasks.all() if task.seq > FEW}  # others were read row by row
+        self._seals = SealCheck(self._log.path, long, self._found_damage)
         self._start()
 
     def _wire(self) -> Durations:
@@ -139,6 +142,7 @@ class Server:
         self._workers.watch(self._session)
         # The last: whoever sees it can ask at once.
         self._token: zenoh.LivelinessToken = self._session.liveliness().declare_token(self._token_key)
+        self._seals.start()
 
     def _fit_when_due(self, task: ServedTask) -> None:
         """Called by learning after every step until the fit begins."""
@@ -154,6 +158,9 @@ class Server:
         self._notices(task, before, after)
         self._radii.step(task)
 
+    def _found_damage(self, task: str, damage: str) -> None:
+        self.tasks.get(task).damage = damage
+
     def _queues(self) -> dict[str, Any]:
         return {verb: depth for lane in self._lanes for verb, depth in lane.depths().items()}
 
@@ -167,6 +174,7 @@ class Server:
         for intake in self._intakes:
             intake.stop()
         self._fitting.stop()
+        self._seals.stop()
         for lane in self._lanes:
             lane.close(max(0.05, deadline - time.monotonic()))
         self._refuser.close(max(0.05, deadline - time.monotonic()))

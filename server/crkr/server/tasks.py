@@ -34,12 +34,14 @@ class ServedTask:
         samples: Stored trials by kind, removed ones too.
         eligible: Trials that may be learned from.
         fault: Why learning stopped, "" while it goes on.
+        damage: What is wrong with a stored row that no prediction rests on, "" where nothing was found.
     """
 
     __slots__ = (
         "archived",
         "configured",
         "created",
+        "damage",
         "dimensions",
         "eligible",
         "fault",
@@ -60,7 +62,7 @@ class ServedTask:
         self.archived = False
         self.samples: Counter[str] = Counter()
         self.eligible = 0
-        self.fault = ""
+        self.fault = self.damage = ""
 
     @property
     def name(self) -> str:

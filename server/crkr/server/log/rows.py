@@ -22,6 +22,7 @@ __all__ = [
     "TRIAL_COLUMNS",
     "body_digest",
     "changed_digest",
+    "check_row",
     "content_digest",
     "trial_of",
     "trial_row",
@@ -62,7 +63,7 @@ def trial_of(row: tuple[Any, ...]) -> LoggedTrial:
     Raises:
         StorageError: The row is not what was stored.
     """
-    _check(row)
+    check_row(row)
     seq, time, identity, kind, success, cost, state, goal, outcome, worker, model_version, info, *_ = row
     try:
         trial = Trial(
@@ -88,7 +89,7 @@ def wire_of(row: tuple[Any, ...]) -> dict[str, Any]:
     Raises:
         StorageError: The row is not what was stored.
     """
-    _check(row)
+    check_row(row)
     seq, time, identity, kind, success, cost, state, goal, outcome, worker, model_version, info, _, present, gone = row
     entry: dict[str, Any] = {
         "id": identity,
@@ -119,7 +120,7 @@ def changed_digest(row: tuple[Any, ...], cost: float | None, removed: bool) -> b
     Raises:
         StorageError: The row is not what was stored.
     """
-    _check(row)
+    check_row(row)
     digest = row[12][:DIGEST_BYTES]
     return bytes(digest + _seal(digest, (*row[:3], *row[9:12], cost, int(removed))))
 
@@ -138,7 +139,7 @@ def body_digest(kind: str, body: bytes) -> bytes:
     return blake2b(kind.encode() + b"\0" + body, digest_size=16).digest()
 
 
-def _check(row: tuple[Any, ...]) -> None:
+def check_row(row: tuple[Any, ...]) -> None:
     """Raises `StorageError` for a row of `ROW_COLUMNS` that is not what was stored."""
     (
         seq,

@@ -17,7 +17,7 @@ from crkr.learner import TrialColumns
 from crkr.protocol import StorageError, UnknownTask, unpack
 from crkr.server.log.blocks import BLOCK_COLUMNS, columns_of
 from crkr.server.log.entries import Event, LoggedTrial
-from crkr.server.log.rows import ROW_COLUMNS, body_digest, trial_of, wire_of
+from crkr.server.log.rows import ROW_COLUMNS, body_digest, check_row, trial_of, wire_of
 from crkr.server.log.schema import check_version, connect, read_errors, storage_errors
 
 __all__ = ["SqliteReader"]
@@ -25,6 +25,7 @@ __all__ = ["SqliteReader"]
 _FIND: Final = "SELECT 1 FROM trial WHERE task = ? AND id = ?"
 _READ_TRIALS: Final = f"SELECT {ROW_COLUMNS} FROM trial WHERE task = ? AND seq > ? ORDER BY seq"
 _READ_BLOCKS: Final = f"SELECT {BLOCK_COLUMNS} FROM trial WHERE task = ? AND seq > ? AND seq < ? ORDER BY seq"
+_READ_SPAN: Final = f"SELECT {ROW_COLUMNS} FROM trial WHERE task = ? AND seq > ? AND seq <= ?"
 _BLOCK: Final = 4096  # trials read together
 _READ_EVENTS: Final = "SELECT seq, time, kind, body, digest FROM event WHERE task = ? AND seq > ? ORDER BY seq"
 _PAGE: Final = f"SELECT {ROW_COLUMNS} FROM trial WHERE task = ? AND seq > ? ORDER BY seq LIMIT ?"
@@ -138,6 +139,14 @@ class SqliteReader:
                     return entries, int(entries[-1]["seq"])
                 entries.append(wire_of(row))
         return entries, None
+
+    def check(self, task: str, upto: int) -> None:
+        """Raises `StorageError` for the first trial up to a log position that is not, whole row, what was stored."""
+        with read_errors(f"check the rows of task {task!r}"):
+            key = self._key(task)
+            for after in range(0, upto, _BLOCK):  # each a read of its own: a long one would keep the log from shrinking
+                for row in self._connection().execute(_READ_SPAN, (key, after, min(after + _BLOCK, upto))):
+                    check_row(row)
 
     def load_cache(self, task: str) -> tuple[int, bytes] | None:
         """The bytes kept last and their log position, or None where there are none or they are damaged."""

@@ -9,6 +9,7 @@ import importlib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from crkr.client.aio import AsyncClient, AsyncSubscription, AsyncTask
     from crkr.client.client import Client, TaskSummary
     from crkr.client.outbox import Outbox
     from crkr.client.presence import Presence
@@ -16,9 +17,23 @@ if TYPE_CHECKING:
     from crkr.client.subscription import Subscription
     from crkr.client.task import Task
 
-__all__ = ["Client", "Outbox", "Presence", "Role", "Subscription", "Task", "TaskSummary"]
+__all__ = [
+    "AsyncClient",
+    "AsyncSubscription",
+    "AsyncTask",
+    "Client",
+    "Outbox",
+    "Presence",
+    "Role",
+    "Subscription",
+    "Task",
+    "TaskSummary",
+]
 
 _HOME = {
+    "AsyncClient": "aio",
+    "AsyncSubscription": "aio",
+    "AsyncTask": "aio",
     "Client": "client",
     "Outbox": "outbox",
     "Presence": "presence",

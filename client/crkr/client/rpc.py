@@ -11,7 +11,7 @@ from uuid import UUID
 from crkr.client.transport import Transport
 from crkr.protocol import CrkrError, Internal, Invalid, array_from_wire, pack, unpack
 
-__all__ = ["Rpc", "plain", "reading"]
+__all__ = ["Rpc", "plain", "positive", "reading"]
 
 # Verbs whose work may take longer than one ordinary attempt: asking again would only double it.
 _PATIENT: Final = frozenset({"recost", "remove", "refit", "configure", "archive"})
@@ -28,11 +28,11 @@ class Rpc:
 
     def __init__(self, transport: Transport, timeout_s: float) -> None:
         self.transport: Final = transport
-        self.timeout_s: Final = _positive(timeout_s)
+        self.timeout_s: Final = positive(timeout_s)
 
     def deadline(self, timeout_s: float | None) -> float:
         """The moment to give up [s, monotonic clock]; raises `Invalid` for a time that is not positive."""
-        return time.monotonic() + (self.timeout_s if timeout_s is None else _positive(timeout_s))
+        return time.monotonic() + (self.timeout_s if timeout_s is None else positive(timeout_s))
 
     def call(self, key: str, message: Mapping[str, Any], timeout_s: float | None = None) -> dict[str, Any]:
         """Sends a message and returns the answer; the verb is the key's last word.
@@ -90,7 +90,8 @@ def plain(value: Any) -> Any:
     return UUID(bytes=value) if isinstance(value, bytes) and len(value) == 16 else value
 
 
-def _positive(timeout_s: float) -> float:
+def positive(timeout_s: float) -> float:
+    """The time [s] as a float; raises `Invalid` for one that is not positive and finite."""
     if not isinstance(timeout_s, int | float) or not 0 < timeout_s < float("inf"):
         raise Invalid(f"timeout_s must be a positive number of seconds; got {timeout_s!r}")
     return float(timeout_s)

@@ -1,0 +1,238 @@
+"""The client for programs that live in an event loop: the same calls, awaited.
+
+Each call in progress has a thread of its own underneath. Zenoh has no coroutines, and a bridge from its threads to the
+loop carries fewer calls a second than threads that wait do.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import functools
+from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Concatenate, Final, ParamSpec, TypeVar, final
+
+from crkr.client.client import Client
+from crkr.client.rpc import positive
+from crkr.client.subscription import TOPICS, Subscription
+from crkr.client.task import Task
+from crkr.protocol import Invalid, StoredTrial, TaskSpec, Unavailable
+
+__all__ = ["AsyncClient", "AsyncSubscription", "AsyncTask"]
+
+_P = ParamSpec("_P")
+_T = TypeVar("_T")
+_LISTEN_S: Final = 0.5  # a thread that waits for publications looks so often whether it is still wanted
+
+
+@final
+class _Calls:
+    """Runs blocking calls on threads, so many at a time; a call that waits for its turn waits within its deadline."""
+
+    def __init__(self, most: int, timeout_s: float) -> None:
+        if not isinstance(most, int) or isinstance(most, bool) or most < 1:
+            raise Invalid(f"in_flight must be a whole number of calls, at least 1; got {most!r}")
+        self.most, self.timeout_s = most, timeout_s
+        self.pool = ThreadPoolExecutor(most, thread_name_prefix="crkr-async")
+        self._turns = asyncio.Semaphore(most)
+        self.closed = False
+
+    async def run(self, call: Callable[..., _T], *args: Any, timeout_s: float | None = None, **kwargs: Any) -> _T:
+        """What the call returns; it is told the time that is left to it."""
+        loop = asyncio.get_running_loop()
+        deadline = loop.time() + (self.timeout_s if timeout_s is None else positive(timeout_s))
+        try:
+            async with asyncio.timeout_at(deadline):
+                await self._turns.acquire()
+        except TimeoutError as error:
+            raise Unavailable(f"{self.most} calls were in progress until the deadline; raise in_flight") from error
+        if self.closed:
+            self._turns.release()
+            raise Unavailable("the client is closed")
+        left = max(deadline - loop.time(), 0.001)
+        future = loop.run_in_executor(self.pool, functools.partial(call, *args, **kwargs, timeout_s=left))
+        # Not before the thread is done, also where nobody waits for it any more.
+        future.add_done_callback(self._ended)
+        return await asyncio.shield(future)
+
+    def close(self) -> None:
+        """Takes no more calls."""
+        self.closed = True
+        self.pool.shutdown(wait=False, cancel_futures=True)
+
+    def _ended(self, future: asyncio.Future[Any]) -> None:
+        self._turns.release()
+        if not future.cancelled():
+            future.exception()  # one that was cancelled by its caller may have failed since: nobody is left to be told
+
+
+def _awaited(
+    method: Callable[Concatenate[Task, _P], _T],
+) -> Callable[Concatenate[AsyncTask, _P], Coroutine[Any, Any, _T]]:
+    """The same method as a coroutine."""
+
+    async def run(self: AsyncTask, /, *args: _P.args, **kwargs: _P.kwargs) -> _T:
+        named: dict[str, Any] = dict(kwargs)
+        timeout_s = named.pop("timeout_s", None)
+        return await self._calls.run(method, self.blocking, *args, timeout_s=timeout_s, **named)
+
+    functools.update_wrapper(run, method)
+    return run
+
+
+@final
+class AsyncTask:
+    """`Task`, awaited: the same arguments, answers, deadlines and errors.
+
+    Who is cancelled stops waiting; a report that was on its way is stored or not, and may be sent again under its id.
+
+    Attributes:
+        blocking: The task beneath, for what has no coroutine: `announce`, `mirror`, `outbox`.
+    """
+
+    def __init__(self, task: Task, calls: _Calls) -> None:
+        self.blocking: Final = task
+        self._calls = calls
+
+    @property
+    def name(self) -> str:
+        """The task's name."""
+        return self.blocking.name
+
+    predict = _awaited(Task.predict)
+    report = _awaited(Task.report)
+    report_trials = _awaited(Task.report_trials)
+    status = _awaited(Task.status)
+    model = _awaited(Task.model)
+    samples = _awaited(Task.samples)
+    explain = _awaited(Task.explain)
+    recost = _awaited(Task.recost)
+    remove = _awaited(Task.remove)
+    refit = _awaited(Task.refit)
+    configure = _awaited(Task.configure)
+    archive = _awaited(Task.archive)
+
+    async def iter_samples(self, after: int = 0) -> AsyncIterator[StoredTrial]:
+        """Every stored trial with seq > `after`, in order, page by page."""
+        position: int | None = after
+        while position is not None:
+            page, position = await self.samples(position)
+            for entry in page:
+                yield entry
+
+    async def subscribe(
+        self, topics: Sequence[str] = TOPICS, capacity: int = 4096, *, timeout_s: float | None = None
+    ) -> AsyncSubscription:
+        """Receives what workers ("trial", "evaluation") and the server ("model") publish, from now on."""
+        return AsyncSubscription(await self._calls.run(self.blocking.subscribe, topics, capacity, timeout_s=timeout_s))
+
+
+@final
+class AsyncSubscription:
+    """Publications as an asynchronous iterator of (topic, message); an asynchronous context manager."""
+
+    def __init__(self, subscription: Subscription) -> None:
+        self._subscription = subscription
+        self._pool = ThreadPoolExecutor(1, thread_name_prefix="crkr-async-subscription")
+
+    @property
+    def dropped(self) -> int:
+        """Publications lost here because the reader was slow."""
+        return self._subscription.dropped
+
+    async def receive(self, timeout_s: float) -> tuple[str, dict[str, Any]] | None:
+        """The next publication, or None if there is none within `timeout_s` or ever again."""
+        if self._subscription.closed:
+            return self._subscription.receive(0.0)
+        return await asyncio.get_running_loop().run_in_executor(self._pool, self._subscription.receive, timeout_s)
+
+    async def close(self) -> None:
+        """Ends the subscription."""
+        await asyncio.get_running_loop().run_in_executor(None, self._subscription.close)
+        self._pool.shutdown(wait=False)
+
+    def __aiter__(self) -> AsyncIterator[tuple[str, dict[str, Any]]]:
+        return self._messages()
+
+    async def _messages(self) -> AsyncIterator[tuple[str, dict[str, Any]]]:
+        while True:
+            message = await self.receive(_LISTEN_S)
+            if message is not None:
+                yield message
+            elif self._subscription.closed:
+                return
+
+    async def __aenter__(self) -> AsyncSubscription:
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        await self.close()
+
+
+@final
+class AsyncClient:
+    """`Client`, awaited; an asynchronous context manager, for one event loop.
+
+    Attributes:
+        blocking: The client beneath.
+    """
+
+    def __init__(
+        self,
+        endpoint: str | None = None,
+        *,
+        timeout_s: float = 5.0,
+        zenoh_config: Path | str | None = None,
+        in_flight: int = 64,
+    ) -> None:
+        """Notes where the server is; arguments as for `Client`.
+
+        Args:
+            endpoint: Zenoh endpoint; $CRKR_CONNECT or "tcp/127.0.0.1:7447" where absent.
+            timeout_s: Deadline of calls that name none [s].
+            zenoh_config: Zenoh configuration file (JSON5).
+            in_flight: Calls in progress at a time; more wait for their turn, within their deadlines.
+
+        Raises:
+            Invalid: The endpoint, the time, the file or the number is not valid.
+        """
+        self.blocking: Final = Client(endpoint, timeout_s=timeout_s, zenoh_config=zenoh_config)
+        self._calls = _Calls(in_flight, timeout_s)
+
+    @property
+    def endpoint(self) -> str:
+        """Zenoh endpoint of the server."""
+        return self.blocking.endpoint
+
+    def info(self, *, timeout_s: float | None = None) -> Awaitable[dict[str, Any]]:
+        """As `Client.info`."""
+        return self._calls.run(self.blocking.info, timeout_s=timeout_s)
+
+    def tasks(self, *, timeout_s: float | None = None) -> Awaitable[list[Any]]:
+        """As `Client.tasks`."""
+        return self._calls.run(self.blocking.tasks, timeout_s=timeout_s)
+
+    async def create_task(self, spec: TaskSpec | Mapping[str, Any], *, timeout_s: float | None = None) -> AsyncTask:
+        """As `Client.create_task`."""
+        return AsyncTask(await self._calls.run(self.blocking.create_task, spec, timeout_s=timeout_s), self._calls)
+
+    def task(self, name: str) -> AsyncTask:
+        """A task by its name; whether it exists shows at the first call (`UnknownTask`)."""
+        return AsyncTask(self.blocking.task(name), self._calls)
+
+    async def close(self) -> None:
+        """Ends the connection; calls in progress end with `Unavailable`."""
+        self._calls.close()
+        await asyncio.get_running_loop().run_in_executor(None, self.blocking.close)
+
+    async def __aenter__(self) -> AsyncClient:
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        await self.close()

@@ -1,0 +1,222 @@
+"""Awaited calls do what the blocking ones do, many at once, and leave the loop to others meanwhile."""
+
+import asyncio
+import signal
+from collections.abc import Callable, Coroutine
+from typing import Any
+from uuid import uuid4
+
+import numpy as np
+import pytest
+
+from crkr.client import AsyncClient, AsyncTask, Client, Task
+from crkr.protocol import Conflict, CrkrError, Invalid, NoSamples, Unavailable, UnknownTask
+
+PATIENCE_S = 20.0
+
+
+def specification() -> dict[str, Any]:
+    return {
+        "name": f"jump-{uuid4()}",
+        "state": [{"name": name, "low": 0, "high": 1} for name in "xy"],
+        "goal": [{"name": name, "low": -1, "high": 1} for name in "gh"],
+    }
+
+
+async def practise(task: AsyncTask, count: int = 30) -> None:
+    rng = np.random.default_rng(1)
+    states, goals = rng.uniform(0, 1, (count, 2)), rng.uniform(-1, 1, (count, 2))
+    receipt = await task.report(state=states, goal=goals, cost=rng.uniform(0, 1, count), success=True, wait=True)
+    assert receipt.accepted == count
+
+
+def run(program: Coroutine[Any, Any, None]) -> None:
+    """In a loop whose own complaints fail the test."""
+    complaints: list[dict[str, Any]] = []
+
+    async def watched() -> None:
+        asyncio.get_running_loop().set_exception_handler(lambda _, context: complaints.append(context))
+        await asyncio.wait_for(program, 3 * PATIENCE_S)
+
+    asyncio.run(watched(), debug=True)
+    assert not complaints
+
+
+def test_a_task_is_made_taught_asked_and_read(shared_endpoint: str) -> None:
+    async def program() -> None:
+        async with AsyncClient(shared_endpoint) as client:
+            assert (await client.info())["protocol"] == 1
+            task = await client.create_task(specification())
+            assert task.name in {entry["spec"].name for entry in await client.tasks()}
+            await practise(task)
+            answer = await task.predict([0.5, 0.5], explore=True)
+            receipt = await task.report(answer, cost=0.3, success=True)
+            ids = [entry.trial.id async for entry in task.iter_samples()]
+            assert (len(ids), ids[-1]) == (31, answer.trial_id)
+            assert (await task.explain([0.5, 0.5])).novelty <= 1.0
+            assert (await task.recost([answer.trial_id], [0.9]))["changed"] == 1
+            assert (await task.configure({"budget": 9}, timeout_s=PATIENCE_S))["seq"] > receipt.seqs[-1]
+            assert (await task.status())["active"] == 9
+
+    run(program())
+
+
+def test_many_calls_at_once_are_answered_as_one_by_one(shared_endpoint: str) -> None:
+    async def program() -> None:
+        async with AsyncClient(shared_endpoint, in_flight=16) as client:
+            task = await client.create_task(specification())
+            await practise(task)
+            states = np.random.default_rng(2).uniform(0, 1, (400, 2))
+            answers = await asyncio.gather(*[task.predict(state) for state in states])
+            together = await task.predict(states)
+            for answer, goals in zip(answers, together.goals, strict=True):
+                np.testing.assert_allclose(answer.goals, goals, rtol=0, atol=1e-9)
+
+    run(program())
+
+
+def test_errors_are_those_of_the_blocking_client(shared_endpoint: str) -> None:
+    async def program() -> None:
+        async with AsyncClient(shared_endpoint) as client:
+            task = await client.create_task(specification())
+            wrong: list[tuple[Coroutine[Any, Any, Any], type[CrkrError]]] = [
+                (task.predict([0.5, 0.5]), NoSamples),
+                (task.predict([0.5]), Invalid),
+                (task.status(timeout_s=-1.0), Invalid),
+                (client.create_task({**specification(), "name": task.name, "seed": 5}), Conflict),
+                (client.task("nowhere").status(), UnknownTask),
+            ]
+            for call, error in wrong:
+                with pytest.raises(error):
+                    await call
+
+    run(program())
+
+
+@pytest.mark.parametrize("in_flight", [0, -1, 1.5, True])
+def test_a_number_of_calls_that_makes_no_sense_is_refused(in_flight: Any) -> None:
+    with pytest.raises(Invalid, match="in_flight"):
+        AsyncClient(in_flight=in_flight)
+
+
+def test_the_loop_goes_on_and_every_call_ends_by_its_deadline_while_the_server_stands_still(
+    start_server: Callable[..., Any],
+) -> None:
+    server = start_server()
+
+    async def program() -> None:
+        async with AsyncClient(server.endpoint, timeout_s=PATIENCE_S, in_flight=4) as client:
+            task = await client.create_task(specification())
+            await practise(task)
+            server.process.send_signal(signal.SIGSTOP)
+            try:
+                deadlines = [2.0] * 4 + [0.5] * 8
+                calls = [asyncio.create_task(task.predict([0.5, 0.5], timeout_s=time_s)) for time_s in deadlines]
+                waiting = asyncio.gather(*calls, return_exceptions=True)
+                turns = 0
+                while not waiting.done():
+                    await asyncio.wait([waiting], timeout=0.01)
+                    turns += 1
+                errors = await waiting
+            finally:
+                server.process.send_signal(signal.SIGCONT)
+            assert all(isinstance(error, Unavailable) for error in errors), errors
+            assert ["in progress" in str(error) for error in errors] == [False] * 4 + [True] * 8
+            assert turns > 10
+            assert (await task.predict([0.5, 0.5])).active == 30
+
+    run(program())
+
+
+def test_who_is_cancelled_stops_waiting_and_the_client_goes_on(start_server: Callable[..., Any]) -> None:
+    server = start_server()
+
+    async def program() -> None:
+        async with AsyncClient(server.endpoint, timeout_s=PATIENCE_S, in_flight=2) as client:
+            task = await client.create_task(specification())
+            await practise(task)
+            server.process.send_signal(signal.SIGSTOP)
+            try:
+                call = asyncio.create_task(task.predict([0.5, 0.5], timeout_s=1.5))
+                await asyncio.wait([call], timeout=0.2)
+                call.cancel()
+                with pytest.raises(asyncio.CancelledError):
+                    await call
+            finally:
+                server.process.send_signal(signal.SIGCONT)
+            for answer in await asyncio.gather(*[task.predict([0.5, 0.5]) for _ in range(20)]):
+                assert answer.active == 30
+
+    run(program())
+
+
+def test_closing_ends_calls_in_progress_and_later_ones(start_server: Callable[..., Any]) -> None:
+    server = start_server()
+
+    async def program() -> None:
+        client = AsyncClient(server.endpoint, timeout_s=PATIENCE_S)
+        task = await client.create_task(specification())
+        server.process.send_signal(signal.SIGSTOP)
+        try:
+            call = asyncio.create_task(task.status())
+            await asyncio.wait([call], timeout=0.2)
+            await client.close()
+            with pytest.raises(Unavailable):
+                await call
+        finally:
+            server.process.send_signal(signal.SIGCONT)
+        with pytest.raises(Unavailable):
+            await task.status()
+        await client.close()
+
+    run(program())
+
+
+def test_publications_arrive_in_order_while_others_call(shared_endpoint: str) -> None:
+    async def program() -> None:
+        async with AsyncClient(shared_endpoint) as client:
+            task = await client.create_task(specification())
+            async with await task.subscribe(("model",)) as notices:
+                for _ in range(200):  # until the router knows of the subscription
+                    await practise(task, 1)
+                    if await notices.receive(0.05) is not None:
+                        break
+                for _ in range(10):
+                    await practise(task, 1)
+                versions = []
+                last = (await task.status())["model_version"]
+                async for topic, message in notices:
+                    assert topic == "model"
+                    versions.append(message["version"])
+                    if versions[-1] == last:
+                        break
+                assert versions == sorted(versions)
+                assert notices.dropped == 0
+            assert await notices.receive(1.0) is None
+
+    run(program())
+
+
+def test_a_subscription_ends_with_its_client(shared_endpoint: str) -> None:
+    async def program() -> None:
+        client = AsyncClient(shared_endpoint)
+        task = await client.create_task(specification())
+        notices = await task.subscribe(("model",))
+        await client.close()
+        assert [message async for message in notices] == []
+        await notices.close()
+
+    run(program())
+
+
+def test_the_blocking_task_beneath_gives_the_rest(shared_endpoint: str) -> None:
+    async def program() -> None:
+        async with AsyncClient(shared_endpoint) as client:
+            assert isinstance(client.blocking, Client)
+            task = await client.create_task(specification())
+            await practise(task)
+            assert isinstance(task.blocking, Task)
+            with await asyncio.to_thread(task.blocking.mirror) as mirror:
+                assert mirror.predict([0.5, 0.5]).active == 30
+
+    run(program())

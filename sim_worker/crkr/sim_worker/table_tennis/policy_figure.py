@@ -73,7 +73,7 @@ def draw_policy(spec: TaskSpec, index: int, states: Floats, goals: Floats, novel
         shown = _paddles(axes, hits, values, vertical)
         axes.set(xlabel="x [m]", ylabel=label, aspect="equal", adjustable="datalim")
     above.set_title("paddle from above; arrows: its way in 50 ms")
-    side.set_title("from the side; lines: its face")
+    side.set_title("from the side; grey: its face, blue: the table's end")
     side.plot([-TABLE_HALF_LENGTH, -TABLE_HALF_LENGTH + 0.15], [TABLE_HEIGHT] * 2, color="navy", linewidth=3)
     figure.colorbar(shown, ax=[above, side], label=f"{axis.name} [{axis.unit}]")
     time.plot(values, hits.times, color="black")

@@ -45,6 +45,28 @@ def test_where_nothing_can_be_written_reports_are_refused_while_predictions_go_o
     assert ask("rpc/create_task", {**reach, "name": "other"})["created"] is True
 
 
+def test_a_log_that_is_moved_away_takes_nothing_until_it_is_back(
+    server: Any, connect: Connect, make_trial: MakeTrial, reach: dict[str, Any]
+) -> None:
+    ask = connect(server.endpoint)
+    ask("rpc/create_task", reach)
+    ask("task/reach/rpc/report", {"trials": [make_trial(0)], "wait": True})
+    away = server.data.with_name("away")
+    server.data.rename(away)
+    for _ in range(2):
+        error = ask("task/reach/rpc/report", {"trials": [make_trial(1)]})["error"]
+        assert error["code"] == "STORAGE"
+        assert "moved, removed or replaced" in error["message"]
+        server.data.mkdir(exist_ok=True)
+        (server.data / "crkr.sqlite3").write_bytes((away / "crkr.sqlite3").read_bytes())  # another file of that name
+    assert ask("task/reach/rpc/predict", {"states": [0.5, 0.0]})["active"] == 1
+    (server.data / "crkr.sqlite3").unlink()
+    server.data.rmdir()
+    away.rename(server.data)
+    assert ask("task/reach/rpc/report", {"trials": [make_trial(1)]})["seqs"] == [3]
+    assert samples(ask) == [make_trial(0)["id"], make_trial(1)["id"]]
+
+
 @dataclass(frozen=True, slots=True)
 class OnDisk:
     """A server whose data directory is a disk of its own, which nobody else sees."""

@@ -145,6 +145,9 @@ def test_a_file_that_vanishes_while_they_are_counted_costs_no_scrape(
     server = start_server("--metrics", str(metrics_port))
     (server.data / "backup.sqlite3.partial").symlink_to(server.data / "gone")
     assert value(scraped(metrics_port), "crkr_log_bytes") > 0
+    server.data.rename(server.data.with_name("away"))
+    found = scraped(metrics_port)
+    assert (value(found, "crkr_log_bytes"), value(found, "crkr_disk_free_bytes")) == (0, 0)
     assert "Traceback" not in server.log.read_text()
 
 

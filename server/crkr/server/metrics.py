@@ -111,8 +111,11 @@ class VitalsCollector(Collector):
             with suppress(FileNotFoundError):  # a backup that is being made, or SQLite's own at the end
                 stored += path.stat().st_size
         yield GaugeMetricFamily("crkr_log_bytes", "Size of the task log's files.", stored)
-        disk = os.statvfs(self._vitals.data)
-        yield GaugeMetricFamily("crkr_disk_free_bytes", "Room for the task log.", disk.f_bavail * disk.f_frsize)
+        free = 0
+        with suppress(OSError):  # moved away: there is no room then
+            disk = os.statvfs(self._vitals.data)
+            free = disk.f_bavail * disk.f_frsize
+        yield GaugeMetricFamily("crkr_disk_free_bytes", "Room for the task log.", free)
 
 
 def _numbers(task: ServedTask) -> tuple[float, ...]:

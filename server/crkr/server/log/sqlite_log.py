@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import sqlite3
 import threading
 import time
@@ -46,6 +47,7 @@ class SqliteLog:
             _refuse_what_lost_its_end(self.path)
             self._writer = open_database(self.path)
             undo.callback(self._writer.close)
+            self._file = _file_at(self.path)
             self.reads = SqliteReader(self.path)
             undo.callback(self.reads.close)
             self._last = self.reads.positions()
@@ -161,6 +163,11 @@ class SqliteLog:
         with self._writing, storage_errors(doing):
             if self._closing:
                 raise StorageError(f"cannot {doing}: the task log is closed")
+            if _file_at(self.path) != self._file:  # what SQLite stored now would be nowhere after the end
+                raise StorageError(
+                    f"cannot {doing}: the task log {self.path} was moved, removed or replaced while the server runs; "
+                    "put it back, or restart the server"
+                )
             self._writer.execute("BEGIN IMMEDIATE")
             self._added = 0
             try:
@@ -182,6 +189,15 @@ class SqliteLog:
                 self._end()
             except StorageError as error:
                 logger.warning("the task log was not closed cleanly: %s", error.message)
+
+
+def _file_at(path: Path) -> tuple[int, int] | None:
+    """Which file that is; None where there is none."""
+    try:
+        found = os.stat(path)
+    except OSError:
+        return None
+    return found.st_dev, found.st_ino
 
 
 def _refuse_what_lost_its_end(path: Path) -> None:

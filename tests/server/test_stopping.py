@@ -5,13 +5,15 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any, NoReturn
 
 import msgpack
 import pytest
 import zenoh
 
-from crkr.protocol import task_key
+from crkr.protocol import TaskSpec, task_key
+from crkr.server.filling import fill
 from crkr.server.intake import Intake
 from crkr.server.lane import Lane, busy
 from crkr.server.latency import Latencies
@@ -145,6 +147,24 @@ def test_a_signal_right_after_the_start_ends_the_server(free_port: int, tmp_path
             assert "listening on" in process.stderr.readline()
             process.send_signal(number)
             assert process.wait(timeout=5) == 0
+
+
+def test_a_signal_while_a_long_log_is_read_ends_the_server_then(
+    free_port: int, tmp_path: Path, reach: dict[str, Any]
+) -> None:
+    data = tmp_path / "data"
+    fill(data, TaskSpec.from_dict(reach), 40_000)
+    (data / "lock").unlink()
+    command = [sys.executable, "-m", "crkr.client", "server", "--data", str(data)]
+    command += ["--listen", f"tcp/127.0.0.1:{free_port}"]
+    for number in (signal.SIGTERM, signal.SIGINT):
+        with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+            while not (data / "lock").exists():
+                pass  # the pytest timeout is the deadline
+            process.send_signal(number)
+            assert process.communicate(timeout=10)[1] == ""
+            assert process.returncode == 0
+        (data / "lock").unlink()
 
 
 def test_a_signal_before_the_wait_is_not_lost_nor_one_in_it() -> None:

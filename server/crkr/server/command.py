@@ -46,7 +46,8 @@ def server(
 
     _log_to_stderr(log_level)
     _be_quick()
-    told_to_stop = _stop_signal()
+    told_to_stop, serving = _stop_signal(), threading.Event()
+    threading.Thread(target=_leave_before, args=(told_to_stop, serving), name="early end", daemon=True).start()
     with ExitStack() as stack:
         endpoint = stack.enter_context(_metrics_endpoint(metrics)) if metrics else None
         running = stack.enter_context(Server(ServerSettings(data, listen, zenoh_config)))
@@ -57,6 +58,7 @@ def server(
             told += f", metrics at http://{endpoint.address}/metrics"
         sys.stderr.write(f"crkr server {version('crkr')} {told}\n")
         sys.stderr.flush()
+        serving.set()
         told_to_stop.recv(1)
         watchdog = threading.Timer(_EXIT_PATIENCE_S, os._exit, (0,))
         watchdog.daemon = True
@@ -91,6 +93,14 @@ def _stop_signal() -> socket.socket:
         signal.signal(number, lambda *_: None)
     signal.set_wakeup_fd(writer.detach(), warn_on_full_buffer=False)
     return reader
+
+
+def _leave_before(told_to_stop: socket.socket, serving: threading.Event) -> None:
+    """Ends the process where the signal comes before it serves: a long log may take a minute, and nothing is lost."""
+    told_to_stop.recv(1, socket.MSG_PEEK)
+    if not serving.is_set():
+        logging.shutdown()
+        os._exit(0)
 
 
 def _be_quick() -> None:

@@ -6,6 +6,7 @@ Nothing is counted for them: they are read from what the server keeps anyway, at
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import suppress
 from importlib.metadata import version
@@ -98,11 +99,12 @@ class VitalsCollector(Collector):
     def _workers(self) -> Iterator[Metric]:
         workers = GaugeMetricFamily("crkr_task_workers", "Workers by state.", labels=["task", "state"])
         trials = GaugeMetricFamily("crkr_task_open_trials", "Goals given out and not reported yet.", labels=["task"])
+        totals = self._vitals.workers.totals()
         for task in self._vitals.tasks.all():
-            known = self._vitals.workers.status(task.name)
+            states, opened = totals.get(task.name, (Counter[str](), 0))
             for state in STATES:
-                workers.add_metric([task.name, state], sum(worker["state"] == state for worker in known))
-            trials.add_metric([task.name], sum(worker["open_trials"] for worker in known))
+                workers.add_metric([task.name, state], states[state])
+            trials.add_metric([task.name], opened)
         yield from (workers, trials)
 
     def _disk(self) -> Iterator[Metric]:

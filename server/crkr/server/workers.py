@@ -5,8 +5,9 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from collections import OrderedDict
+from collections import Counter, OrderedDict
 from collections.abc import Iterable
+from operator import itemgetter
 from typing import Any, Final, final
 
 import zenoh
@@ -90,7 +91,7 @@ class Workers:
         """The task's workers as `status` lists them."""
         with self._lock:
             now = time.monotonic()
-            return [
+            found = [
                 {
                     "id": worker,
                     "state": entry.state,
@@ -99,9 +100,21 @@ class Workers:
                     "last_seen": entry.last_seen,
                     "last_seen_s": now - entry.seen,
                 }
-                for (owner, worker), entry in sorted(self._known.items(), key=lambda item: item[0])
+                for (owner, worker), entry in self._known.items()
                 if owner == task
             ]
+        return sorted(found, key=itemgetter("id"))
+
+    def totals(self) -> dict[str, tuple[Counter[str], int]]:
+        """Task -> its workers by state, and how many trials they have open."""
+        with self._lock:
+            known = [(task, entry.state, len(entry.open)) for (task, _), entry in self._known.items()]
+        found: dict[str, tuple[Counter[str], int]] = {}
+        for task, state, count in known:
+            states, opened = found.get(task, (Counter[str](), 0))
+            states[state] += 1
+            found[task] = states, opened + count
+        return found
 
     def _entry(self, task: str, worker: str) -> _Worker:
         entry = self._known.setdefault((task, worker), _Worker())

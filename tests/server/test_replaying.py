@@ -1,6 +1,8 @@
 """`replay` finds what does not agree, and nothing where all does."""
 
 import sqlite3
+import subprocess
+import sys
 from pathlib import Path
 from uuid import UUID
 
@@ -113,6 +115,17 @@ def test_a_backup_replays_like_its_original(data: Path, tmp_path: Path) -> None:
     target = tmp_path / "restored" / "crkr.sqlite3"
     assert CliRunner().invoke(app, [str(data), str(target)], catch_exceptions=False).exit_code == 0
     assert replayed(tmp_path / "restored", "--json") == replayed(data, "--json")
+
+
+def test_a_backup_for_which_there_is_no_room_leaves_nothing_behind(data: Path, tmp_path: Path) -> None:
+    target = tmp_path / "backups" / "monday.sqlite3"
+    target.parent.mkdir()
+    command = [sys.executable, "-m", "crkr.client", "backup", str(data), str(target)]
+    limited = ["sh", "-c", 'ulimit -f 16; exec "$@"', "sh", *command]
+    done = subprocess.run(limited, capture_output=True, text=True, timeout=20, check=False)
+    assert done.returncode == 1
+    assert done.stderr.startswith(f"error: cannot back up to {target}: ")
+    assert list(target.parent.iterdir()) == []
 
 
 def test_a_directory_without_a_log_is_refused(tmp_path: Path) -> None:

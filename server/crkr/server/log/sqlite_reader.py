@@ -178,7 +178,7 @@ class SqliteReader:
         """Copies the log, as it is at this moment, into a new file; one that is there under its name is whole."""
         if target.exists():
             raise StorageError(f"{target} exists; choose another file")
-        partial = target.with_name(target.name + ".partial")
+        partial = target.with_name(f"{target.name}.{os.getpid()}.partial")  # another backup's is not ours to end
         try:
             with storage_errors(f"back up to {target}"):
                 copy = sqlite3.connect(partial)
@@ -189,7 +189,8 @@ class SqliteReader:
                     copy.close()
             os.replace(partial, target)
         finally:
-            partial.unlink(missing_ok=True)
+            for name in (partial.name, f"{partial.name}-journal"):
+                partial.with_name(name).unlink(missing_ok=True)
 
     def close(self) -> None:
         """Closes the connections of this thread and of those that ended; idempotent.

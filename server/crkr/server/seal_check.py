@@ -71,6 +71,7 @@ class SealCheck:
                 self._process = subprocess.Popen(
                     command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True, process_group=0
                 )
+                os.setpriority(os.PRIO_PROCESS, self._process.pid, _LEAST_PRIORITY)
         except OSError as error:
             logger.warning("the rows of the task log are not looked over: %s", error.strerror)
             return
@@ -92,7 +93,6 @@ class SealCheck:
 
 def main(path: Path, tasks: Mapping[str, int]) -> None:
     """The process: tells of each task what is wrong with it, "" where all is well."""
-    os.nice(_LEAST_PRIORITY)
     with suppress(BrokenPipeError):  # the server is gone
         for task, upto in tasks.items():
             sys.stdout.write(json.dumps([task, _damage(path, task, upto)]) + "\n")

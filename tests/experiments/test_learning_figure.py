@@ -13,7 +13,7 @@ MARKS = (0, 25, 50, 100, 750, 1000, 1250, 1500)
 
 def _run(seed: int) -> LearningRun:
     scores = tuple(Score(marks, 100, {"hit": 50 + seed + index}, {}) for index, marks in enumerate(MARKS))
-    return LearningRun(seed, scores[-1], scores, {}, "")
+    return LearningRun(seed, scores[-1], scores, {}, None, "")
 
 
 @pytest.fixture

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from crkr.experiments.learning_run import Course, LearningRun, Score, learn_once
+from crkr.experiments.learning_run import MARKS, Course, LearningRun, Score, learn_once
 from crkr.experiments.learning_summary import mean_interval, summarise
 from crkr.sim_worker.skill import SkillOptions
 from crkr.sim_worker.table_tennis import TableTennis
 
-COURSE = Course(trials=40, contexts=30, judge=5, demonstrations=5, watch=False)
+COURSE = Course(trials=40, contexts=30, judge=5, demonstrations=5)
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +28,7 @@ def test_the_same_seed_gives_the_same_run_and_another_seed_another(analytic: Tab
 
 
 def test_a_whole_run_in_contact_repeats_bitwise() -> None:
-    course = Course(trials=60, contexts=1, judge=5, demonstrations=5, watch=False)
+    course = Course(trials=60, contexts=1, judge=5, demonstrations=5)
     runs = [learn_once(TableTennis(SkillOptions(seed=9), traces=False), course, 9) for _ in range(2)]
     assert runs[0].digest == runs[1].digest
     assert runs[0].training == runs[1].training
@@ -37,7 +37,7 @@ def test_a_whole_run_in_contact_repeats_bitwise() -> None:
 
 def test_watching_a_run_changes_nothing_else(analytic: TableTennis) -> None:
     plain = learn_once(analytic, COURSE, 3)
-    watched = learn_once(analytic, replace(COURSE, watch=True), 3)
+    watched = learn_once(analytic, replace(COURSE, marks=MARKS), 3)
     assert (watched.final, watched.training) == (plain.final, plain.training)
     assert watched.digest == plain.digest
     assert [score.trials for score in watched.curve] == [0, 25, 40]
@@ -53,7 +53,7 @@ def test_every_trial_and_every_context_is_counted_once(analytic: TableTennis) ->
 @pytest.mark.parametrize("launcher", ["nominal", "wide"])
 def test_the_tuned_preset_learns_early(launcher: str) -> None:
     skill = TableTennis(SkillOptions(environment="analytic", launcher=launcher), traces=False)
-    run = learn_once(skill, replace(COURSE, trials=200, contexts=100, watch=True), 3)
+    run = learn_once(skill, replace(COURSE, trials=200, contexts=100, marks=MARKS), 3)
     assert run.curve[0].rate("strict") < 0.6  # by the five demonstrations alone
     assert run.final.rate("strict") > {"nominal": 0.85, "wide": 0.6}[launcher]
 
@@ -68,7 +68,7 @@ def test_a_mean_comes_with_students_interval() -> None:
 
 def test_a_summary_names_the_worst_run() -> None:
     runs = [
-        LearningRun(seed, Score(10, 100, {"strict": won, "paper": 100}, {}), (), {}, "")
+        LearningRun(seed, Score(10, 100, {"strict": won, "paper": 100}, {}), (), {}, None, "")
         for seed, won in [(7, 95), (8, 91), (9, 97)]
     ]
     summary = summarise(runs, "strict", 0.98)

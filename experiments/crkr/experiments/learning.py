@@ -13,7 +13,7 @@ from crkr.client.options import Json
 if TYPE_CHECKING:
     from crkr.experiments.learning_run import Course, LearningRun
     from crkr.experiments.learning_summary import Summary
-    from crkr.sim_worker.skill import Skill, SkillOptions
+    from crkr.sim_worker.skill import SkillOptions
 
 __all__ = ["learning"]
 
@@ -41,12 +41,13 @@ def learning(
 
     Example: crkr experiment learning --launcher medium --demonstrations 20 --seeds 3
     """
-    from crkr.experiments.learning_run import Course
+    from crkr.experiments.learning_run import MARKS, Course
+    from crkr.experiments.many_runs import learn_many
     from crkr.sim_worker.skill import SkillOptions
 
     options = SkillOptions(environment=environment, launcher=launcher, preset=preset)
-    course = Course(trials, balls, judge, demonstrations, watch=out is not None)
-    runs = _runs(skill, options, course, range(first_seed, first_seed + seeds), jobs)
+    course = Course(trials, balls, judge, demonstrations, MARKS if out is not None else ())
+    runs = learn_many(skill, options, [(course, seed) for seed in range(first_seed, first_seed + seeds)], jobs)
     planner = _planner(skill, options, course, jobs) if oracle else {}
     result = _result(skill, options, course, runs, planner)
     if out is not None:
@@ -55,25 +56,6 @@ def learning(
         print_json(result)
     else:
         _print(result)
-
-
-def _runs(skill: str, options: SkillOptions, course: Course, seeds: range, jobs: int) -> list[LearningRun]:
-    from crkr.sim_worker.pool import spread
-    from crkr.sim_worker.progress import Progress
-
-    runs: list[LearningRun] = []
-    with Progress(stderr, "learning", len(seeds), "runs") as progress:
-        for run in spread(skill, options, _learn, [(course, seed) for seed in seeds], jobs):
-            runs.append(run)
-            rates = ", ".join(f"{name} {run.final.rate(name):.3f}" for name in run.final.successes)
-            progress.show(len(runs), f"seed {run.seed}: {rates}", now=True)
-    return sorted(runs, key=lambda run: run.seed)
-
-
-def _learn(skill: Skill, part: tuple[Course, int]) -> LearningRun:
-    from crkr.experiments.learning_run import learn_once
-
-    return learn_once(skill, *part)
 
 
 def _planner(skill: str, options: SkillOptions, course: Course, jobs: int) -> dict[str, float]:

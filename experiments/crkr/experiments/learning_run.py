@@ -4,23 +4,22 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from hashlib import sha256
-from typing import Final, Protocol, final
+from typing import Any, Final, Protocol, final
 from uuid import UUID
 
 import numpy as np
 
 from crkr.client.evaluations import success_by_criterion
 from crkr.learner import Learner
-from crkr.protocol import training_id
+from crkr.protocol import TaskSpec, training_id
 from crkr.sim_worker.randomness import demonstration_rng, evaluation_rng, fresh_rng, training_rng
 from crkr.sim_worker.skill import Skill
 
-__all__ = ["Course", "LearningRun", "Score", "learn_once"]
+__all__ = ["MARKS", "Course", "LearningRun", "Score", "learn_once", "taught"]
 
-WATCHED: Final = 100  # contexts behind each point of a learning curve
-MARKS: Final = (0, 25, 50, 100, 200, 300, 500, 750, 1000, 1250)  # trials after which a curve has a point
+MARKS: Final = (0, 25, 50, 100, 200, 300, 500, 750, 1000, 1250)  # much is learned early
 
 
 @final
@@ -33,14 +32,19 @@ class Course:
         contexts: Fresh contexts of the final judgement.
         judge: Seed of these contexts; the same for every run, and those of `crkr evaluate` with this seed.
         demonstrations: How many start the learner.
-        watch: Whether to play for a learning curve on the way, which changes nothing else.
+        marks: Training trials after which a learning curve has a point, besides the last one; empty: there is no curve.
+            Watching changes nothing else.
+        watched: Contexts behind each of its points, the task's fixed ones.
+        settings: Fields of the skill's specification that are others here.
     """
 
     trials: int
     contexts: int
     judge: int
     demonstrations: int
-    watch: bool
+    marks: tuple[int, ...] = ()
+    watched: int = 100
+    settings: tuple[tuple[str, Any], ...] = ()
 
 
 @final
@@ -75,6 +79,7 @@ class LearningRun:
         final: The judgement after the last trial.
         curve: Scores on fewer contexts on the way, the last one after the last trial; empty if not watched.
         training: How the training trials ended, by the skill's words.
+        filled: Training trials after which there were more samples to learn from than the budget; None: never.
         digest: SHA-256 over every training trial's state, goal and cost: equal for runs that are bitwise the same.
     """
 
@@ -82,6 +87,7 @@ class LearningRun:
     final: Score
     curve: tuple[Score, ...]
     training: dict[str, int]
+    filled: int | None
     digest: str
 
 
@@ -95,25 +101,48 @@ class Digest(Protocol):
 
 def learn_once(skill: Skill, course: Course, seed: int) -> LearningRun:
     """Learns by the skill's own specification and judges the result; the same arguments give the same bits."""
-    learner = Learner(replace(skill.spec(), seed=seed))
+    training, curve, digest = Counter[str](), list[Score](), sha256()
+    filled: int | None = None
+
+    def watch(learner: Learner, trial: int) -> None:
+        nonlocal filled
+        if filled is None and learner.eligible > learner.spec.budget:
+            filled = trial
+        if course.marks and (trial in course.marks or trial == course.trials):
+            curve.append(_judge(skill, learner, trial, course.watched, lambda ball: evaluation_rng(seed, ball)))
+
+    learner = _taught(skill, course, seed, training, digest, watch)
+    final = _judge(skill, learner, course.trials, course.contexts, lambda ball: fresh_rng(course.judge, ball))
+    return LearningRun(seed, final, tuple(curve), dict(training.most_common()), filled, digest.hexdigest())
+
+
+def taught(skill: Skill, course: Course, seed: int, show: Callable[[int], object]) -> Learner:
+    """The learner of such a run, before it is judged; `show` is told how many trials were done."""
+    return _taught(skill, course, seed, Counter(), sha256(), lambda _, trial: show(trial))
+
+
+def _taught(
+    skill: Skill,
+    course: Course,
+    seed: int,
+    training: Counter[str],
+    digest: Digest,
+    watch: Callable[[Learner, int], object],
+) -> Learner:
+    learner = Learner(TaskSpec.from_dict({**skill.spec().to_dict(), "seed": seed, **dict(course.settings)}))
     for shown in skill.demonstrations(course.demonstrations, demonstration_rng(seed)):
         learner.report(
             state=shown.state, goal=shown.goal, cost=shown.result.cost, success=True, kind="demonstration",
             outcome=shown.result.outcome,
         )  # fmt: skip
-    rng, training, curve = training_rng(seed, 1), Counter[str](), []
-    digest = sha256()
+    rng = training_rng(seed, 1)
     for trial in range(course.trials):
-        if course.watch and trial in MARKS:
-            curve.append(_judge(skill, learner, trial, WATCHED, lambda ball: evaluation_rng(seed, ball)))
-        trial_id = training_id(
-            learner.spec.name, seed, 1, trial + 1
-        )  # as a worker's: what is asked between is no matter
+        watch(learner, trial)
+        # As a worker's ids are: what is asked between is no matter.
+        trial_id = training_id(learner.spec.name, seed, 1, trial + 1)
         training[_try(skill, learner, rng, trial_id, digest)] += 1
-    if course.watch:
-        curve.append(_judge(skill, learner, course.trials, WATCHED, lambda ball: evaluation_rng(seed, ball)))
-    final = _judge(skill, learner, course.trials, course.contexts, lambda ball: fresh_rng(course.judge, ball))
-    return LearningRun(seed, final, tuple(curve), dict(training.most_common()), digest.hexdigest())
+    watch(learner, course.trials)
+    return learner
 
 
 def _try(skill: Skill, learner: Learner, rng: np.random.Generator, trial_id: UUID, digest: Digest) -> str:

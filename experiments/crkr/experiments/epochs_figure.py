@@ -1,0 +1,46 @@
+"""Success by epoch, several ways of learning in one figure  [Cardoso2017, fig. 5 and 7]."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from crkr.experiments.learning_figure import COLOURS
+from crkr.experiments.learning_run import LearningRun
+
+__all__ = ["draw_epochs"]
+
+
+def draw_epochs(ways: Mapping[str, Sequence[LearningRun]], criterion: str, title: str, path: Path) -> None:
+    """Saves mean, worst and best run of every way, and where each began to choose among its samples.
+
+    Args:
+        ways: Name -> its runs, with curves over the same trials.
+        criterion: Which success is drawn.
+        title: Of the figure.
+        path: E.g. figure5.png.
+    """
+    figure = Figure(figsize=(7.0, 4.2), dpi=120, layout="constrained")
+    axes = figure.add_subplot()
+    for (name, runs), colour in zip(ways.items(), _colours(len(ways)), strict=True):
+        trials = [score.trials for score in runs[0].curve]
+        rates = np.array([[score.rate(criterion) for score in run.curve] for run in runs])  # (runs, epochs)
+        axes.fill_between(trials, rates.min(axis=0), rates.max(axis=0), color=colour, alpha=0.12, linewidth=0)
+        axes.plot(trials, rates.mean(axis=0), color=colour, label=f"{name}: {rates[:, -1].mean():.2f} in the end")
+        filled = [run.filled for run in runs if run.filled is not None]
+        if len(filled) == len(runs):
+            axes.axvline(float(np.mean(filled)), color=colour, linestyle=":", linewidth=1.2)
+    count, contexts = len(next(iter(ways.values()))), next(iter(ways.values()))[0].curve[0].contexts
+    axes.plot([], [], color="0.3", linestyle=":", label="from here on, more samples than the budget")
+    axes.set(title=title, xlabel="training trials", ylim=(0.0, 1.01), xlim=(0, None))
+    axes.set_ylabel(f"success rate ({criterion}) in {contexts} fixed contexts")
+    axes.grid(alpha=0.3)
+    axes.legend(loc="lower right", title=f"mean and range of {count} runs", fontsize="small")
+    figure.savefig(path)
+
+
+def _colours(count: int) -> list[str]:
+    return [COLOURS[index % len(COLOURS)] for index in range(count)]

@@ -1,0 +1,29 @@
+"""Many runs of learning, spread over processes, with progress that people can watch."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from crkr.client.console import stderr
+from crkr.experiments.learning_run import Course, LearningRun, learn_once
+from crkr.sim_worker.pool import spread
+from crkr.sim_worker.progress import Progress
+from crkr.sim_worker.skill import Skill, SkillOptions
+
+__all__ = ["learn_many"]
+
+
+def learn_many(skill: str, options: SkillOptions, parts: Sequence[tuple[Course, int]], jobs: int) -> list[LearningRun]:
+    """One run a part, each a course and a seed, in the order of the parts; `jobs` at a time change nothing."""
+    runs: dict[int, LearningRun] = {}
+    with Progress(stderr, "learning", len(parts), "runs") as progress:
+        for place, run in spread(skill, options, _learn, [(place, *part) for place, part in enumerate(parts)], jobs):
+            runs[place] = run
+            rates = ", ".join(f"{name} {run.final.rate(name):.3f}" for name in run.final.successes)
+            progress.show(len(runs), f"seed {run.seed}: {rates}", now=True)
+    return [runs[place] for place in range(len(parts))]
+
+
+def _learn(skill: Skill, part: tuple[int, Course, int]) -> tuple[int, LearningRun]:
+    place, course, seed = part
+    return place, learn_once(skill, course, seed)

@@ -18,6 +18,7 @@ import typer
 
 if TYPE_CHECKING:
     from crkr.server.metrics_endpoint import MetricsEndpoint
+    from crkr.server.stderr_log import StderrLog
 
 __all__ = ["server"]
 
@@ -42,22 +43,23 @@ def server(
     log_level: Annotated[str, typer.Option(envvar="CRKR_LOG_LEVEL", help="debug, info, warning or error.")] = "info",
 ) -> None:
     """Run the policy service: `crkr server --listen tcp/127.0.0.1:7447 --data crkr-data --metrics 9464`."""
-    from crkr.server.server import DEFAULT_LISTEN, Server, ServerSettings
+    from crkr.server.server import Server, ServerSettings
+    from crkr.server.session import endpoints
 
-    _log_to_stderr(log_level)
+    log = _log_to_stderr(log_level)
     _be_quick()
     told_to_stop, serving = _stop_signal(), threading.Event()
-    threading.Thread(target=_leave_before, args=(told_to_stop, serving), name="early end", daemon=True).start()
+    threading.Thread(target=_leave_before, args=(told_to_stop, serving, log), name="early end", daemon=True).start()
     with ExitStack() as stack:
+        stack.callback(log.flush)
         endpoint = stack.enter_context(_metrics_endpoint(metrics)) if metrics else None
         running = stack.enter_context(Server(ServerSettings(data, listen, zenoh_config)))
-        where = listen or (DEFAULT_LISTEN if zenoh_config is None else f"the endpoints of {zenoh_config}")
+        where = ", ".join(endpoints(listen, zenoh_config))
         told = f"listening on {where}, data in {data}, {len(running.tasks.all())} tasks"
         if endpoint is not None:
             endpoint.show(running.vitals)
             told += f", metrics at http://{endpoint.address}/metrics"
-        sys.stderr.write(f"crkr server {version('crkr')} {told}\n")
-        sys.stderr.flush()
+        log.add(f"crkr server {version('crkr')} {told}")
         serving.set()
         told_to_stop.recv(1)
         watchdog = threading.Timer(_EXIT_PATIENCE_S, os._exit, (0,))
@@ -65,8 +67,6 @@ def server(
         watchdog.start()
     # All is closed. What is left of the interpreter's own end can only go wrong: it aborts when a thread is just then
     # returning from Zenoh.
-    logging.shutdown()
-    sys.stderr.flush()
     os._exit(0)
 
 
@@ -95,11 +95,11 @@ def _stop_signal() -> socket.socket:
     return reader
 
 
-def _leave_before(told_to_stop: socket.socket, serving: threading.Event) -> None:
+def _leave_before(told_to_stop: socket.socket, serving: threading.Event, log: StderrLog) -> None:
     """Ends the process where the signal comes before it serves: a long log may take a minute, and nothing is lost."""
     told_to_stop.recv(1, socket.MSG_PEEK)
     if not serving.is_set():
-        logging.shutdown()
+        log.flush()
         os._exit(0)
 
 
@@ -111,8 +111,10 @@ def _be_quick() -> None:
     gc.set_threshold(_GARBAGE, 20, 100)
 
 
-def _log_to_stderr(level: str) -> None:
+def _log_to_stderr(level: str) -> StderrLog:
+    from crkr.server.stderr_log import StderrLog
+
     number = logging.getLevelName(level.upper())
     if not isinstance(number, int):
         raise typer.BadParameter(f"{level!r} is none of debug, info, warning, error", param_hint="--log-level")
-    logging.basicConfig(level=number, format="%(asctime)s %(levelname)s %(name)s: %(message)s", stream=sys.stderr)
+    return StderrLog(number)

@@ -1,0 +1,75 @@
+"""Log lines on standard error, written by a thread of their own: who does not read them holds up nobody else.
+
+A terminal that is stopped, or a supervisor that leaves a pipe unread, would otherwise stop whoever logs next, and with
+the thread that commits all reports.
+"""
+
+from __future__ import annotations
+
+import logging
+import queue
+import sys
+import threading
+from collections.abc import Callable
+from typing import Final, final
+
+__all__ = ["StderrLog"]
+
+_FORMAT: Final = "%(asctime)s %(levelname)s %(name)s: %(message)s"
+_MOST: Final = 1000  # lines that wait; more are lost
+
+
+@final
+class StderrLog:
+    """Takes what is logged from now on.
+
+    Args:
+        level: The least that is written.
+    """
+
+    def __init__(self, level: int) -> None:
+        self._waiting: queue.Queue[str | threading.Event] = queue.Queue(_MOST)
+        self._lost = 0
+        logging.basicConfig(level=level, format=_FORMAT, handlers=[_Handler(self.add)])
+        threading.Thread(target=self._run, name="log", daemon=True).start()
+
+    def add(self, item: str | threading.Event) -> None:
+        """Writes a line before long, or loses it; an event is set when all before it is written."""
+        try:
+            self._waiting.put_nowait(item)
+        except queue.Full:
+            self._lost += 1
+
+    def flush(self, patience_s: float = 0.2) -> None:
+        """Waits until all is written, so long at most."""
+        written = threading.Event()
+        self.add(written)
+        written.wait(patience_s)
+
+    def _run(self) -> None:
+        while True:
+            item = self._waiting.get()
+            if self._lost:
+                lost, self._lost = self._lost, 0
+                self._write(f"({lost} lines of the log were not written: nobody read them)")
+            if isinstance(item, threading.Event):
+                item.set()
+            else:
+                self._write(item)
+
+    def _write(self, line: str) -> None:
+        try:
+            sys.stderr.write(f"{line}\n")
+            sys.stderr.flush()
+        except OSError:  # nobody is there to read it
+            self._lost = 0
+
+
+@final
+class _Handler(logging.Handler):
+    def __init__(self, add: Callable[[str], None]) -> None:
+        super().__init__()
+        self._add = add
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self._add(self.format(record))

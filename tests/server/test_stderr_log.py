@@ -1,0 +1,59 @@
+"""Nobody need read what a server logs: it goes on, and says later that lines are missing."""
+
+import fcntl
+import os
+import re
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+Ask = Callable[..., dict[str, Any]]
+LINES = 1200  # more than wait to be written
+
+
+def test_a_server_whose_log_nobody_reads_goes_on(
+    free_port: int, tmp_path: Path, connect: Callable[[str], Ask], reach: dict[str, Any]
+) -> None:
+    reading, writing = os.pipe()
+    fcntl.fcntl(writing, fcntl.F_SETPIPE_SZ, 4096)
+    endpoint = f"tcp/127.0.0.1:{free_port}"
+    command = [sys.executable, "-m", "crkr.client", "server", "--listen", endpoint, "--data", str(tmp_path / "data")]
+    with subprocess.Popen(command, stderr=writing) as process, os.fdopen(reading, "rb", buffering=0) as told:
+        os.close(writing)
+        first = b""
+        while b"listening on" not in first:
+            first += told.read(1000)
+        ask = connect(endpoint)
+        for number in range(LINES):  # each is a line of the log
+            assert ask("rpc/create_task", {**reach, "name": f"task-{number}"})["created"] is True
+        text = b""
+        while b"lines of the log were not written" not in text:
+            text += told.read(1000)
+            assert ask("rpc/create_task", {**reach, "name": f"more-{len(text)}"})["created"] is True
+        lost = re.search(rb"\((\d+) lines of the log were not written: nobody read them\)\n", text)
+        assert lost is not None
+        assert 0 < int(lost[1]) < LINES
+        assert text.startswith(b"20")
+        for number in range(LINES):
+            ask("rpc/create_task", {**reach, "name": f"late-{number}"})
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(timeout=10) == 0
+
+
+def test_a_server_whose_log_is_closed_goes_on(
+    free_port: int, tmp_path: Path, connect: Callable[[str], Ask], reach: dict[str, Any]
+) -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port}"
+    command = [sys.executable, "-m", "crkr.client", "server", "--listen", endpoint, "--data", str(tmp_path / "data")]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr is not None
+        assert "listening on" in process.stderr.readline()
+        process.stderr.close()
+        ask = connect(endpoint)
+        for number in range(3):
+            assert ask("rpc/create_task", {**reach, "name": f"task-{number}"})["created"] is True
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(timeout=10) == 0

@@ -131,7 +131,7 @@ class LearnerAgainstTheBatchAlgorithm(RuleBasedStateMachine):
             np.testing.assert_array_equal(explorer.trials.Y, outcomes / 0.1)
             states = np.array([entry["state"] for entry in observed]).reshape(-1, 2)
             np.testing.assert_allclose(explorer.trials.X[:, :2], states / LENGTHSCALE)
-            assert explorer.trials.count(1) == np.count_nonzero(np.isfinite(outcomes[:, 2]))
+            assert explorer.trials.counts[1] == np.count_nonzero(np.isfinite(outcomes[:, 2]))
 
     def teardown(self) -> None:
         if not hasattr(self, "learner"):

@@ -158,13 +158,14 @@ def test_a_draw_is_the_first_within_the_bounds_of_documented_numbers(guided: Cal
         answer = model.predict(STATES[number % 40], True, trial)
         own, z = explorer.scales, explorer.scales.metric.standardise(STATES[number % 40])
         mean = own.scaled(answer.means)
-        line = linearise(explorer.trials, own, (0,), np.concatenate([z, GOAL_SHARE * mean]), 60)
-        posterior = condition(mean, np.minimum(4 * answer.sigmas / own.scales, own.high - own.low), line)
-        g = np.clip(posterior.g, own.low, own.high)
+        line = linearise(explorer.trials, own, (0,), np.concatenate([z, GOAL_SHARE * mean])[None], 60)
+        spread = np.minimum(4 * answer.sigmas / own.scales, own.high - own.low)
+        posterior = condition(mean[None], spread[None], line)
+        g = np.clip(posterior.g[0], own.low, own.high)
         u = uniforms(5, [trial], P + 1 + 2 + 31 * (P + 2))[0]
         temperature = (0.2, 0.6, 6.0)[int(3 * u[P])]
         attempts = np.concatenate([np.delete(u[: P + 3], P), u[P + 3 :]]).reshape(32, P + 2)
-        drawn = g + temperature * posterior.deviations(ndtri(attempts))
+        drawn = g + temperature * posterior.deviations(ndtri(attempts)[None])[0]
         inside = np.asarray(((drawn >= own.low) & (drawn <= own.high)).all(axis=1))
         np.testing.assert_allclose(answer.goal, drawn[inside.argmax()] * own.scales, atol=1e-9)
         beyond += int(not bool(inside[0]))

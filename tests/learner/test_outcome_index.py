@@ -43,10 +43,14 @@ def test_the_newest_observed_trials_are_searched_whenever_one_looks(make_spec: M
     _, index = filled(make_spec(outcome=OUTCOME), count)
     expected = [number for number in range(count) if number % 3][-SEARCHED:]
     np.testing.assert_allclose(found(index), expected)
-    np.testing.assert_allclose(index.snapshot().norms, np.sum(index.snapshot().X ** 2, axis=1))
+    trials = index.snapshot()
+    np.testing.assert_allclose(trials.single[:, :4], trials.X, rtol=1e-6)
+    np.testing.assert_allclose(trials.single[:, 4], np.sum(trials.X**2, axis=1), rtol=1e-6)
+    assert not trials.single[:, 5:].any()
     odd = [place for place, number in enumerate(expected) if number % 2]
-    members = index.snapshot().members[1]
-    assert (list(range(len(expected))) if members is None else members.tolist()) == odd
+    hidden = trials.hidden[1]
+    assert (list(range(len(expected))) if hidden is None else np.flatnonzero(hidden == 0).tolist()) == odd
+    assert trials.counts[1] == len(odd)
 
 
 def test_older_trials_come_back_where_newer_ones_are_removed(make_spec: MakeSpec) -> None:
@@ -73,7 +77,7 @@ def test_a_snapshot_stays_while_trials_come(make_spec: MakeSpec) -> None:
     for number in range(201, 300):
         index.extend(np.array([store.append(number, a_trial(number))]))
     np.testing.assert_array_equal(before.Y[:, 0] * 0.5 + 1.0, kept)
-    for array in (before.X, before.norms, before.Y):
+    for array in (before.X, before.single, before.Y):
         with pytest.raises(ValueError, match="read-only"):
             array.flat[0] = 1.0
 

@@ -1,28 +1,30 @@
-"""The outcome near one trial, as a straight line through the nearest trials that were executed.
+"""The outcome near each of several trials, as a straight line through the nearest trials that were executed.
 
-    x  (d + p,)  where                 w  (k,)    weights of the neighbours       o      outcome at x
-    D  (k, d + p) neighbours minus x   h          distance of the farthest        J      its slope with the goal
-    F  (k, r)    regressors [1, D / h] A  (r, r)  F' diag(w) F + ridge            r      1 + d + p
-    Y  (k, m)    outcomes              B  (r, m)  A^-1 F' diag(w) Y
+    w  (k,)    weights of the neighbours        o      outcome at x           h   distance of the farthest
+    D  (k, d + p) neighbours minus x            J      its slope with the goal
+    F  (k, r)  regressors [1, D / h]            A  (r, r)  F' diag(w) F + ridge, A^-1 = M' M
+    Y  (k, m)  outcomes                         B  (r, m)  A^-1 F' diag(w) Y            r   1 + d + p
 
-Everything is scaled as `OutcomeScales` says; outcomes count in tolerances from the target. Entries of one group are
-observed in the same trials and share neighbours, weights and factor.
+Every array has one x more in front, b of them; each x gets the same bits in whatever company. Everything is scaled as
+`OutcomeScales` says; outcomes count in tolerances from the target. Entries that are observed in the same trials share
+neighbours, weights and factor.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, final
 
 import numpy as np
-from scipy.linalg import blas, lapack
+from scipy.linalg import lapack
 
 from crkr.learner.anms_batch import Indices
-from crkr.learner.outcome_index import ObservedTrials
+from crkr.learner.outcome_nearest import Neighbours
 from crkr.learner.outcome_scales import GOAL_SHARE
 from crkr.protocol import Array
 
-__all__ = ["RIDGE", "LocalFit", "fit_locally", "nearest"]
+__all__ = ["RIDGE", "LocalFit", "fit_locally", "inverse_factor"]
 
 RIDGE: Final = 1e-3  # for slopes per h; the weights sum to the number of neighbours that count
 _COINCIDING: Final = 1e-18  # squared distance below which trials tell no slope; it would be beyond all numbers
@@ -32,99 +34,132 @@ _PIVOT: Final = 1e-10  # of the intercept, so that the matrix always factors
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class LocalFit:
-    """One group's outcome near x; made by `fit_locally`.
+    """The outcome near b points x, from s sets of neighbours; made by `fit_locally`.
 
     Attributes:
-        o: (m,) the group's entries at x.
-        J: (m, p) their change with each scaled goal.
-        variance: (m,) of the residuals.
-        leverage: How much less is known at x than a residual tells, in residual variances.
-        L: (r, r) lower factor of A.
-        reach: h.
+        o: (b, m) the entries at x.
+        J: (b, m, p) their change with each scaled goal.
+        variance: (b, m) of the residuals.
+        leverage: (b, m) how much less is known at x than a residual tells, in residual variances.
+        M: (s, b, r, r) inverses of the lower factors of A.
+        slope: (s, b) what a scaled goal counts in h; 0 where all neighbours are at x.
+        sets: (m,) which of the sets an entry was observed in.
     """
 
     o: Array
     J: Array
     variance: Array
-    leverage: float
-    L: Array
-    reach: float
+    leverage: Array
+    M: Array
+    slope: Array
+    sets: Indices
 
     def at(self, step: Array) -> tuple[Array, Array]:
-        """Predicted entries (m,) and their standard deviations (m,) a step (p,) of the scaled goal away from x."""
-        f = np.zeros(len(self.L))
-        f[0] = 1.0
-        if self.reach:
-            f[len(f) - len(step) :] = step * (GOAL_SHARE / self.reach)
-        v = blas.dtrsv(self.L, f, lower=1)
-        return self.o + self.J @ step, np.sqrt(self.variance * (1.0 + v @ v))
+        """Predicted entries (b, m) and their standard deviations (b, m) steps (b, p) of the scaled goal away from x."""
+        s, b, r, _ = self.M.shape
+        f = np.zeros((s, b, r))
+        f[:, :, 0] = 1.0
+        f[:, :, r - step.shape[1] :] = step * self.slope[:, :, None]
+        v = np.matvec(self.M, f)
+        pulls = 1.0 + np.vecdot(v, v)
+        return self.o + np.matvec(self.J, step), np.sqrt(self.variance * pulls[self.sets].T)
+
+    def of(self, which: Indices) -> LocalFit:
+        """That near some of the points."""
+        return LocalFit(
+            self.o[which],
+            self.J[which],
+            self.variance[which],
+            self.leverage[which],
+            self.M[:, which],
+            self.slope[:, which],
+            self.sets,
+        )
+
+    def beside(self, other: LocalFit) -> LocalFit:
+        """Both in one, this one's entries first."""
+        return LocalFit(
+            np.concatenate([self.o, other.o], axis=1),
+            np.concatenate([self.J, other.J], axis=1),
+            np.concatenate([self.variance, other.variance], axis=1),
+            np.concatenate([self.leverage, other.leverage], axis=1),
+            np.concatenate([self.M, other.M]),
+            np.concatenate([self.slope, other.slope]),
+            np.concatenate([self.sets, len(self.M) + other.sets]),
+        )
 
 
-def nearest(trials: ObservedTrials, distances: Array, group: int, count: int) -> Indices:
-    """Rows of the `count` smallest of the (n,) distances among those in which a group was observed."""
-    members = trials.members[group]
-    if members is not None:
-        distances = distances[members]
-    if len(distances) <= count:
-        return np.arange(len(distances)) if members is None else members
-    rows = np.argpartition(distances, count - 1)[:count]
-    return rows if members is None else np.asarray(members[rows])
-
-
-def fit_locally(
-    trials: ObservedTrials, rows: Indices, entries: Indices, x: Array, goals: int, ridge: float = RIDGE
-) -> LocalFit:
-    """Weighted ridge regression on these rows.
+def fit_locally(near: Neighbours, outcomes: Sequence[Array], goals: int, ridge: float = RIDGE) -> LocalFit:
+    """Weighted ridge regression on the neighbours of each point.
 
     The weights are the biweight (1 - (distance / h)^2)^2 [Atkeson1997]. The farthest neighbour has weight zero, so that
     the fit is continuous in x although neighbours change. Weights are scaled to sum to the effective number of
     neighbours, (sum w)^2 / sum w^2, and only slopes are penalised.
 
     Args:
-        trials: What is searched.
-        rows: (k,) which of them, k >= 1.
-        entries: (m,) entries of the group.
-        x: (d + p,) where.
+        near: Neighbours (s, b, k), k >= 1.
+        outcomes: (b, k, m) what was observed in them, for each set m entries of its own.
         goals: p.
         ridge: Penalty of squared slopes per h.
     """
-    F = np.empty((len(rows), len(x) + 1))
-    F[:, 0] = 1.0
-    D = np.subtract(trials.X[rows], x, out=F[:, 1:])
-    d2 = np.vecdot(D, D)
-    farthest = float(d2.max())
-    if farthest < _COINCIDING:
-        farthest = 0.0
-    reach = farthest**0.5
-    if reach:
-        D /= reach
-    w = _weights(d2, farthest)
-    Y = trials.Y[rows][:, entries]
-    root = np.sqrt(w)[:, None]
+    s, b, k, r = near.D.shape
+    farthest = near.squared[:, :, -1:]
+    coinciding = farthest < _COINCIDING
+    alike = bool(coinciding.any())
+    if alike:
+        farthest = np.where(coinciding, 1.0, farthest)
+    reach = np.sqrt(farthest)
+    slope = (GOAL_SHARE / reach)[:, :, 0]
+    if alike:
+        slope[coinciding[:, :, 0]] = 0.0
+    w, total = _weights(near.squared / farthest)
+    root = np.sqrt(w)[..., None]
+    F = np.empty((s, b, k, r + 1))
+    F[..., 0] = 1.0
+    np.divide(near.D, reach[..., None], out=F[..., 1:])
     F *= root
-    Y *= root
-    A = F.T @ F
-    diagonal = A.reshape(-1)[:: len(A) + 1]
+    A = F.swapaxes(2, 3) @ F
+    diagonal = A.reshape(s, b, -1)[:, :, :: r + 2]
     diagonal += ridge
-    diagonal[0] += _PIVOT - ridge
-    L, _ = lapack.dpotrf(A.T, lower=1, clean=1, overwrite_a=1)
-    B, _ = lapack.dpotrs(L, F.T @ Y, lower=1)
-    residuals = Y - F @ B
-    V = blas.dtrsm(1.0, L, F.T, lower=1)  # (r, k); its columns' squares say how far a trial pulls the line to itself
-    spare = float(w.sum() - np.vecdot(V.T, V.T) @ w)
-    variance = np.vecdot(residuals.T, residuals.T) / max(spare, 1e-9 * len(rows))
-    first = np.zeros(len(L))
-    first[0] = 1.0
-    v = blas.dtrsv(L, first, lower=1)
-    J = B[-goals:].T * (GOAL_SHARE / reach) if reach else np.zeros((len(entries), goals))
-    return LocalFit(B[0], J, variance, float(v @ v), L, reach)
+    diagonal[:, :, 0] += _PIVOT - ridge
+    M = inverse_factor(A)
+    V = F @ M.swapaxes(2, 3)  # its rows' squares say how far a trial pulls the line to itself
+    spare = np.maximum(total - np.vecdot(np.vecdot(V, V), w), 1e-9 * k)
+    solved = [_solved(F[i], Y * root[i], M[i], slope[i], spare[i], goals) for i, Y in enumerate(outcomes)]
+    o, J, variance = solved[0] if s == 1 else (np.concatenate(parts, axis=1) for parts in zip(*solved, strict=True))
+    sets = np.array([i for i, Y in enumerate(outcomes) for _ in range(Y.shape[2])])
+    first = M[..., 0]
+    return LocalFit(o, J, variance, np.vecdot(first, first)[sets].T, M, slope, sets)
 
 
-def _weights(d2: Array, farthest: float) -> Array:
-    if farthest:
-        w = (1.0 - d2 / farthest) ** 2
-        total = float(w.sum())
-        if total:
-            w *= total / float(w @ w)
-            return w
-    return np.ones(len(d2))
+def _solved(F: Array, Y: Array, M: Array, slope: Array, spare: Array, goals: int) -> tuple[Array, Array, Array]:
+    """o, J and the variance of the residuals of one set."""
+    B = M.swapaxes(1, 2) @ (M @ (F.swapaxes(1, 2) @ Y))
+    residuals = (Y - F @ B).swapaxes(1, 2)
+    variance = np.vecdot(residuals, residuals) / spare[:, None]
+    return B[:, 0], B[:, -goals:].swapaxes(1, 2) * slope[:, None, None], variance
+
+
+def inverse_factor(A: Array) -> Array:
+    """Inverses (..., r, r) of the lower Cholesky factors of A (..., r, r), which is used up.
+
+    They serve for all right-hand sides, and the matrices are small and far enough from singular for that.
+    """
+    for one in A.reshape(-1, *A.shape[-2:]):
+        L, _ = lapack.dpotrf(one.T, lower=1, clean=1, overwrite_a=1)
+        lapack.dtrtri(L, lower=1, overwrite_c=1)
+    return A.swapaxes(-1, -2)
+
+
+def _weights(shares: Array) -> tuple[Array, Array]:
+    """Weights (..., k) of squared distances in shares of the farthest, or of none worth mentioning, and their sum."""
+    w = 1.0 - shares
+    w *= w
+    squares = np.vecdot(w, w)
+    if not squares.all():  # all are as far away
+        w[squares == 0] = 1.0
+        squares = np.vecdot(w, w)
+    total = w.sum(axis=-1)
+    scale = total / squares
+    w *= scale[..., None]
+    return w, total * scale

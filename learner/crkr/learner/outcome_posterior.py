@@ -4,20 +4,23 @@
     o  (m,)  outcome at `where`   J  (m, p) its slope                        R  (m,)    variance of what o leaves out
                                   S  (m, m) J diag(s2) J' + R                G  (p, m)  gain diag(s2) J' S^-1
 
-Goals are in scales from the middle of their bounds, outcomes in tolerances from the target.
+Every array has b rows in front, one for each state. Goals are in scales from the middle of their bounds, outcomes in
+tolerances from the target.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import reduce
 from typing import Final, final
 
 import numpy as np
-from scipy.linalg import lapack
 
-from crkr.learner.outcome_fit import LocalFit, fit_locally, nearest
+from crkr.learner.anms_batch import Indices
+from crkr.learner.outcome_fit import LocalFit, fit_locally, inverse_factor
 from crkr.learner.outcome_index import ObservedTrials
+from crkr.learner.outcome_nearest import nearest
 from crkr.learner.outcome_scales import GOAL_SHARE, OutcomeScales
 from crkr.protocol import Array
 
@@ -29,40 +32,43 @@ _ROUNDING: Final = 1e-12  # of the largest variance, so that entries which say t
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class OutcomeLine:
-    """The outcome as a straight line in the goal, at one state.
+    """The outcome as a straight line in the goal, at b states.
 
     Attributes:
-        where: (p,) goal that it touches.
-        fits: One for each group that is modelled.
-        entries: (m,) outcome entries in the order of the fits.
+        where: (b, p) goals that it touches.
+        fit: The line.
+        entries: (m,) which outcome entries the fit is of.
     """
 
     where: Array
-    fits: tuple[LocalFit, ...]
-    entries: Array
+    fit: LocalFit
+    entries: Indices
 
     @property
-    def worst(self) -> float:
-        """Largest deviation from the target where the line touches."""
-        return max(float(np.abs(fit.o).max()) for fit in self.fits)
+    def worst(self) -> Array:
+        """(b,) largest deviations from the target where the line touches."""
+        return np.asarray(np.abs(self.fit.o).max(axis=1))
 
     def at(self, goal: Array) -> tuple[Array, Array]:
-        """Outcome (m,) at a goal (p,), and its standard deviation (m,)."""
-        predictions = [fit.at(goal - self.where) for fit in self.fits]
-        return np.concatenate([o for o, _ in predictions]), np.concatenate([sd for _, sd in predictions])
+        """Outcomes (b, m) at goals (b, p), and their standard deviations (b, m)."""
+        return self.fit.at(goal - self.where)
+
+    def of(self, which: Indices) -> OutcomeLine:
+        """That at some of the states."""
+        return OutcomeLine(self.where[which], self.fit.of(which), self.entries)
 
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Posterior:
-    """N(g, P'), with P' = (I - G J) diag(s2).
+    """N(g, P') at b states, with P' = (I - G J) diag(s2).
 
     Attributes:
-        g: (p,) its mean.
-        spread: (p,) square roots of s2.
-        J: (m, p).
-        G: (p, m).
-        noise: (m,) square roots of R.
+        g: (b, p) its mean.
+        spread: (b, p) square roots of s2.
+        J: (b, m, p).
+        G: (b, p, m).
+        noise: (b, m) square roots of R.
     """
 
     g: Array
@@ -72,53 +78,71 @@ class Posterior:
     noise: Array
 
     def deviations(self, normal: Array) -> Array:
-        """Deviations (a, p) from g with covariance P', of standard normal numbers (a, p + m).
+        """Deviations (b, a, p) from g with covariance P', of standard normal numbers (b, a, p + m).
 
         A draw of the prior is conditioned on a drawn error of the outcome, which needs no factor of P' and is right
         where P' has none.
         """
-        prior = normal[:, : len(self.g)] * self.spread
-        error = normal[:, len(self.g) :] * self.noise
-        return np.asarray(prior - (prior @ self.J.T + error) @ self.G.T)
+        p = self.g.shape[1]
+        prior = normal[..., :p] * self.spread[:, None]
+        error = normal[..., p:] * self.noise[:, None]
+        return np.asarray(prior - (prior @ self.J.swapaxes(1, 2) + error) @ self.G.swapaxes(1, 2))
+
+    def of(self, which: Indices) -> Posterior:
+        """That at some of the states."""
+        return Posterior(*(part[which] for part in (self.g, self.spread, self.J, self.G, self.noise)))
 
 
 def linearise(
     trials: ObservedTrials, scales: OutcomeScales, groups: Sequence[int], x: Array, count: int
 ) -> OutcomeLine:
-    """Fits every group to its `count` trials nearest to x.
+    """Fits every group to its `count` trials nearest to each x.
 
     Args:
         trials: What is searched.
         scales: The task's units.
         groups: Which groups are modelled, at least one.
-        x: (d + p,) a trial in the metric.
+        x: (b, d + p) trials in the metric.
         count: Neighbours.
     """
     p = len(scales.scales)
-    distances = trials.norms - 2.0 * (trials.X @ x)  # less |x|^2, the same for all
-    fits = []
-    for group in groups:
-        rows = nearest(trials, distances, group, count)
-        fits.append(fit_locally(trials, rows, scales.groups[group], x, p))
-    entries = np.concatenate([scales.groups[group] for group in groups])
-    return OutcomeLine(x[-p:] / GOAL_SHARE, tuple(fits), entries)
+    fits, together = [], []
+    for counted, sets in _sets(trials, groups, count):
+        near = nearest(trials, x, [one[0] for one in sets], counted)
+        entries = [np.concatenate([scales.groups[group] for group in one]) for one in sets]
+        outcomes = [trials.Y[rows[:, :, None], own] for rows, own in zip(near.rows, entries, strict=True)]
+        fits.append(fit_locally(near, outcomes, p))
+        together += entries
+    return OutcomeLine(x[:, -p:] / GOAL_SHARE, reduce(LocalFit.beside, fits), np.concatenate(together))
+
+
+def _sets(trials: ObservedTrials, groups: Sequence[int], count: int) -> Iterable[tuple[int, list[list[int]]]]:
+    """Numbers of neighbours, and for each the groups that have so many; those observed in the same trials together."""
+    everywhere = [group for group in groups if trials.hidden[group] is None]
+    together = [everywhere] if everywhere else []
+    sets: dict[int, list[list[int]]] = {}
+    for one in together + [[group] for group in groups if group not in everywhere]:
+        sets.setdefault(min(count, trials.counts[one[0]]), []).append(one)
+    return sets.items()
 
 
 def condition(mean: Array, spread: Array, line: OutcomeLine) -> Posterior:
-    """The prior N(mean, diag(spread^2)), given that the outcome is the target  [Rasmussen2006, A.6].
+    """The priors N(mean, diag(spread^2)), given that the outcome is the target  [Rasmussen2006, A.6].
 
     R is one squared tolerance and the variance of the residuals, more where neighbours say little.
+
+    Args:
+        mean: (b, p) mean goals.
+        spread: (b, p) their standard deviations.
+        line: The outcome at b states.
     """
-    fits = line.fits
-    J = np.concatenate([fit.J for fit in fits])
-    o = np.concatenate([fit.o for fit in fits])
-    R = np.concatenate([fit.variance * (1.0 + fit.leverage) for fit in fits])
-    R += 1.0
-    JP = J * (spread * spread)
-    S = JP @ J.T
-    diagonal = S.reshape(-1)[:: len(S) + 1]
-    diagonal += R + _ROUNDING * diagonal.max()
-    L, _ = lapack.dpotrf(S.T, lower=1, clean=1, overwrite_a=1)
-    gain, _ = lapack.dpotrs(L, JP, lower=1)
-    G = gain.T
-    return Posterior(mean - G @ (o + J @ (mean - line.where)), spread, J, G, np.sqrt(R))
+    fit, J = line.fit, line.fit.J
+    R = fit.variance * (1.0 + fit.leverage) + 1.0
+    JP = J * (spread * spread)[:, None]
+    S = JP @ J.swapaxes(1, 2)
+    diagonal = S.reshape(len(S), -1)[:, :: S.shape[1] + 1]
+    diagonal += R + _ROUNDING * diagonal.max(axis=1, keepdims=True)
+    M = inverse_factor(S)
+    G = (M.swapaxes(1, 2) @ (M @ JP)).swapaxes(1, 2)
+    g = mean - np.matvec(G, fit.o + np.matvec(J, mean - line.where))
+    return Posterior(g, spread, J, G, np.sqrt(R))

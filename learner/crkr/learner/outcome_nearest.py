@@ -1,0 +1,144 @@
+"""The executed trials nearest to each of several points, exactly, and the same whatever points are asked for together.
+
+    X  (n, r)  trials in the metric       x  (b, r)  points       D  (b, k, r)  neighbours minus their point
+
+Where trials are many, one matrix product in single precision gives all distances, with a rounding error that depends on
+its neighbours in the product. Hence they only say which trials may be among the nearest: those are measured again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from crkr.learner.anms_batch import Indices
+from crkr.learner.kernel import squared_distances
+from crkr.learner.outcome_index import LARGEST_SINGLE, ObservedTrials
+from crkr.protocol import Array
+
+__all__ = ["Neighbours", "nearest"]
+
+_COLUMNS: Final = 4  # for each neighbour wanted: the smallest entries of so many columns bound its distance
+_FEW: Final = 16  # trials for each neighbour wanted, below which all are measured at once
+_CROWD: Final = 8  # candidates for each neighbour wanted, above which points are looked at one by one
+_MARGIN: Final = 8  # times the largest error of a rounded distance; four would do
+
+Rough = NDArray[np.floating[Any]]
+
+
+class Neighbours(NamedTuple):
+    """The k trials nearest to each of b points, the farthest of them last.
+
+    Attributes:
+        rows: (s, b, k) which trials, for each of s groups.
+        D: (s, b, k, r) what leads to them.
+        squared: (s, b, k) its squared length.
+    """
+
+    rows: Indices
+    D: Array
+    squared: Array
+
+
+def nearest(trials: ObservedTrials, x: Array, groups: Sequence[int], count: int) -> Neighbours:
+    """The `count` trials nearest to each point among those in which a group was observed, for each of some groups.
+
+    Args:
+        trials: What is searched.
+        x: (b, r) points in the metric.
+        groups: Which groups, all observed in at least so many trials.
+        count: k, at least 1.
+    """
+    search = _among_few if len(trials) < _FEW * count else _among_many
+    return search(trials, x, groups, count)
+
+
+def _among_few(trials: ObservedTrials, x: Array, groups: Sequence[int], count: int) -> Neighbours:
+    distances = squared_distances(x, trials.X)
+    each = [distances if hidden is None else distances + hidden for hidden in (trials.hidden[one] for one in groups)]
+    rows = np.stack([np.argpartition(own, count - 1, axis=1)[:, :count] for own in each])
+    return Neighbours(rows, trials.X[rows] - x[:, None], distances[np.arange(len(x))[:, None], rows])
+
+
+def _among_many(trials: ObservedTrials, x: Array, groups: Sequence[int], count: int) -> Neighbours:
+    squares = np.vecdot(x, x)
+    rough = _rough(trials, x, squares, groups)
+    near = np.flatnonzero(rough <= _bound(rough, squares, x.shape[1], count))
+    s, n = len(groups), len(trials)
+    if s == len(x) == 1:
+        found = _measured(trials, x, np.zeros_like(near), near, count)
+    else:
+        points, rows = np.divmod(near, n)  # points of the first group, then those of the next
+        found = _each_measured(trials, np.concatenate([x] * s), points, rows, count)
+    shape = s, -1, count
+    return Neighbours(found.rows.reshape(shape), found.D.reshape(*shape, x.shape[1]), found.squared.reshape(shape))
+
+
+def _rough(trials: ObservedTrials, x: Array, squares: Array, groups: Sequence[int]) -> Rough:
+    """(s, b, n) squared distances less |x|^2; infinite where a trial does not count.
+
+    They are in double precision where numbers are too large for single.
+    """
+    b, r = x.shape
+    if trials.fits_single and squares.max() <= LARGEST_SINGLE:
+        factors = np.zeros((b, trials.single.shape[1]), dtype=np.float32)
+        factors[:, :r], factors[:, r] = -2.0 * x, 1.0
+        rough: Rough = np.empty((len(groups), b, len(trials)), dtype=np.float32)
+        np.matmul(factors, trials.single.T, out=rough[0])
+    else:
+        rough = np.empty((len(groups), b, len(trials)))
+        np.matmul(-2.0 * x, trials.X.T, out=rough[0])
+        rough[0] += np.vecdot(trials.X, trials.X)
+    for place, group in reversed(list(enumerate(groups))):  # the first last: the others start from it
+        hidden = trials.hidden[group]
+        if hidden is not None:
+            np.add(rough[0], hidden, out=rough[place])
+        elif place:
+            rough[place] = rough[0]
+    return rough
+
+
+def _bound(rough: Rough, squares: Array, size: int, count: int) -> Rough:
+    """(s, b, 1) what no rough distance of the `count` nearest exceeds.
+
+    That many trials are as near as the smallest entries of as many columns say, and rounding is in proportion to
+    |X|^2 + |x|^2 <= 2 |X - x|^2 + 3 |x|^2.
+    """
+    limits, columns = np.finfo(rough.dtype), _COLUMNS * count
+    rows = rough.shape[2] // columns
+    least = rough[:, :, : rows * columns].reshape(*rough.shape[:2], rows, columns).min(axis=2)
+    kth = np.partition(least, count - 1, axis=2)[:, :, count - 1].astype(np.float64)
+    error = (size + 8) * float(limits.eps) * (np.maximum(kth + squares, 0.0) + squares) + float(limits.tiny)
+    bound = np.minimum(kth + _MARGIN * error, float(limits.max))  # never infinite, which would let hidden trials in
+    return np.asarray(bound[:, :, None], dtype=rough.dtype)
+
+
+def _each_measured(trials: ObservedTrials, x: Array, points: Indices, rows: Indices, count: int) -> Neighbours:
+    if len(rows) <= _CROWD * count * len(x):
+        return _measured(trials, x, points, rows, count)
+    # Points so far away that all distances look the same: one at a time.
+    each = zip(x, np.split(rows, np.cumsum(np.bincount(points))[:-1]), strict=True)
+    alone = [_measured(trials, one[None], np.zeros_like(its), its, count) for one, its in each]
+    return Neighbours(*map(np.concatenate, zip(*alone, strict=True)))
+
+
+def _measured(trials: ObservedTrials, x: Array, points: Indices, rows: Indices, count: int) -> Neighbours:
+    """The nearest of these rows to the points (ascending) beside them, by distances that depend on nothing else.
+
+    They come in the order of their distance, and of equal ones the older first.
+    """
+    D = trials.X[rows]
+    D -= x if len(x) == 1 else x[points]
+    squared = np.vecdot(D, D)
+    if len(x) == 1:
+        chosen = squared.argsort(kind="stable")[None, :count]
+    else:
+        counts = np.bincount(points)
+        first = np.cumsum(counts) - counts
+        table = np.full((len(x), int(counts.max())), np.inf)
+        table[points, np.arange(len(points)) - first[points]] = squared
+        chosen = table.argsort(axis=1, kind="stable")[:, :count] + first[:, None]
+    return Neighbours(rows[chosen], D[chosen], squared[chosen])

@@ -63,3 +63,17 @@ def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
     for path in (broken, tmp_path / "absent.json5"):
         with pytest.raises(Invalid, match=path.name):
             Connection.choose(None, path)
+
+
+def test_certificates_are_looked_for_beside_the_file_that_names_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file, key = tmp_path / "robot" / "client.json5", tmp_path / "robot" / "client.key"
+    file.parent.mkdir()
+    file.write_text('{transport: {link: {tls: {connect_private_key: "client.key"}}}}')
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(Invalid, match=r"connect_private_key '.*/robot/client\.key'"):
+        Connection.choose("tls/learner:7447", Path("robot/client.json5"))
+    key.touch()
+    config = Connection.choose("tls/learner:7447", Path("robot/client.json5")).zenoh(1.0)
+    assert json.loads(config.get_json("transport/link/tls/connect_private_key")) == str(key)

@@ -12,6 +12,7 @@ from typing import Any, Final, final
 import zenoh
 
 from crkr.protocol import Invalid
+from crkr.protocol.zenoh_files import named_files
 
 __all__ = ["DEFAULT_ENDPOINT", "Connection"]
 
@@ -87,7 +88,10 @@ def _load(path: Path | None) -> zenoh.Config:
     if path is None:
         return zenoh.Config()
     try:
-        return zenoh.Config.from_file(path)
+        config = zenoh.Config.from_file(path)
+        for name, file in named_files(path, config.get_json).items():
+            config.insert_json5(name, json.dumps(file))
+        return config
     except zenoh.ZError as error:
         raise Invalid(f"Zenoh configuration {path} cannot be read: {brief(error)}") from error
 

@@ -10,8 +10,9 @@ from typing import Any, Final
 import zenoh
 
 from crkr.protocol import MAX_MESSAGE_BYTES, CrkrError, Invalid, Unavailable
+from crkr.protocol.zenoh_files import named_files
 
-__all__ = ["DEFAULT_LISTEN", "open_session"]
+__all__ = ["DEFAULT_LISTEN", "endpoints", "open_session"]
 
 DEFAULT_LISTEN: Final = "tcp/127.0.0.1:7447"
 
@@ -23,7 +24,8 @@ _ALWAYS: Final[dict[str, Any]] = {
     "scouting/delay": 0,
     "transport/shared_memory/enabled": False,
 }
-# What a configuration file sets itself, if there is one. A silent partition is noticed after one lease [ms].
+# What holds unless a configuration file says otherwise, which is: anything but Zenoh's own default. A silent partition
+# is noticed after one lease [ms].
 _DEFAULTS: Final[dict[str, Any]] = {
     "transport/link/tx/lease": 2000,
     # A client that asks and does not read holds up the thread that answers it, and so the others, for that long [us];
@@ -33,6 +35,7 @@ _DEFAULTS: Final[dict[str, Any]] = {
     "transport/unicast/accept_timeout": 2000,
     "transport/unicast/accept_pending": 1000,
     "transport/link/rx/max_message_size": 4 * MAX_MESSAGE_BYTES,  # up to here it is refused by a typed error
+    "listen/endpoints": [DEFAULT_LISTEN],  # Zenoh's router would listen on every interface
 }
 
 _SOURCE_PLACE: Final = re.compile(r" at \S+\.rs:\d+\.?\]?")
@@ -53,24 +56,33 @@ def open_session(listen: str | None, config_file: Path | None) -> zenoh.Session:
     try:
         return zenoh.open(config)
     except zenoh.ZError as error:
-        where = ", ".join(json.loads(config.get_json("listen/endpoints")))
+        where = ", ".join(_endpoints(config))
         reason = _reason(error)
         if "Address already in use" in reason:
             reason = "the port is in use; stop what listens there or choose another"
         raise Unavailable(f"cannot listen on {where}: {reason}") from error
 
 
+def endpoints(listen: str | None, config_file: Path | None) -> list[str]:
+    """Where `open_session` listens when it is given the same; raises `Invalid` as it does."""
+    return _endpoints(_config(listen, config_file))
+
+
+def _endpoints(config: zenoh.Config) -> list[str]:
+    listed = json.loads(config.get_json("listen/endpoints"))
+    return list(listed.get("router", []) if isinstance(listed, dict) else listed)  # a map has a list for each mode
+
+
 def _config(listen: str | None, config_file: Path | None) -> zenoh.Config:
-    given: dict[str, Any] = dict(_ALWAYS)
+    usual = zenoh.Config()
     try:
-        if config_file is None:
-            config = zenoh.Config()
-            given |= {**_DEFAULTS, "listen/endpoints": [listen or DEFAULT_LISTEN]}
-        else:
-            config = zenoh.Config.from_file(str(config_file))
-            if listen is not None:
-                given["listen/endpoints"] = [listen]
-        for name, value in given.items():
+        config = zenoh.Config() if config_file is None else zenoh.Config.from_file(str(config_file))
+        given = {name: value for name, value in _DEFAULTS.items() if config.get_json(name) == usual.get_json(name)}
+        if config_file is not None:
+            given |= named_files(config_file, config.get_json)
+        if listen is not None:
+            given["listen/endpoints"] = [listen]
+        for name, value in {**_ALWAYS, **given}.items():
             config.insert_json5(name, json.dumps(value))
     except zenoh.ZError as error:
         what = f"Zenoh configuration {config_file}" if config_file else f"endpoint {listen!r}"

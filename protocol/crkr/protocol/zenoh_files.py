@@ -1,0 +1,41 @@
+"""Files that a Zenoh configuration file names: certificates, keys and passwords."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Final
+
+from crkr.protocol.errors import Invalid
+
+__all__ = ["FILE_SETTINGS", "named_files"]
+
+_TLS: Final = "root_ca_certificate listen_certificate listen_private_key connect_certificate connect_private_key"
+FILE_SETTINGS: Final = (
+    *(f"transport/link/tls/{name}" for name in _TLS.split()),
+    "transport/auth/usrpwd/dictionary_file",
+)
+
+
+def named_files(configuration: Path, setting: Callable[[str], str]) -> dict[str, str]:
+    """The files' absolute paths by setting. A relative one counts from the configuration's folder.
+
+    Zenoh itself counts from the working directory: a robot's file would then work in one folder only.
+
+    Args:
+        configuration: The configuration file.
+        setting: Gives the JSON of one of its settings, "null" where it has none.
+
+    Raises:
+        Invalid: One of them is not there.
+    """
+    named = {name: json.loads(setting(name)) for name in FILE_SETTINGS}
+    paths = {name: (configuration.parent / path).absolute() for name, path in named.items() if path}
+    for name, path in paths.items():
+        if not path.is_file():
+            raise Invalid(
+                f"Zenoh configuration {configuration} names a file that is not there: "
+                f"{name.rpartition('/')[2]} {str(path)!r}"
+            )
+    return {name: str(path) for name, path in paths.items()}

@@ -43,3 +43,10 @@ def test_derived_ids_are_valid_distinct_and_repeatable() -> None:
         assert derived.variant == RFC_4122
         assert UUID(bytes=derived.bytes) == derived
         assert UUID(str(derived)) == derived
+        assert derived.is_safe is UUID(int=0).is_safe
+
+
+def test_few_derived_ids_are_the_first_of_many() -> None:
+    many = draw_ids("task/1", 500)
+    for count in (0, 1, 2, 15, 16, 17, 499):
+        assert draw_ids("task/1", count) == many[:count]

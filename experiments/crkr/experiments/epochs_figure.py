@@ -25,20 +25,20 @@ def draw_epochs(ways: Mapping[str, Sequence[LearningRun]], criterion: str, title
     """
     figure = Figure(figsize=(7.0, 4.2), dpi=120, layout="constrained")
     axes = figure.add_subplot()
+    first = next(iter(ways.values()))
+    trials = [score.trials for score in first[0].curve]
     for (name, runs), colour in zip(ways.items(), _colours(len(ways)), strict=True):
-        trials = [score.trials for score in runs[0].curve]
         rates = np.array([[score.rate(criterion) for score in run.curve] for run in runs])  # (runs, epochs)
         axes.fill_between(trials, rates.min(axis=0), rates.max(axis=0), color=colour, alpha=0.12, linewidth=0)
         axes.plot(trials, rates.mean(axis=0), color=colour, label=f"{name}: {rates[:, -1].mean():.2f} in the end")
         filled = [run.filled for run in runs if run.filled is not None]
         if len(filled) == len(runs):
             axes.axvline(float(np.mean(filled)), color=colour, linestyle=":", linewidth=1.2)
-    count, contexts = len(next(iter(ways.values()))), next(iter(ways.values()))[0].curve[0].contexts
     axes.plot([], [], color="0.3", linestyle=":", label="from here on, more samples than the budget")
-    axes.set(title=title, xlabel="training trials", ylim=(0.0, 1.01), xlim=(0, None))
-    axes.set_ylabel(f"success rate ({criterion}) in {contexts} fixed contexts")
+    axes.set(title=title, xlabel="training trials", ylim=(0.0, 1.01), xlim=(0, trials[-1]))
+    axes.set_ylabel(f"success rate ({criterion}) in {first[0].curve[0].contexts} fixed contexts")
     axes.grid(alpha=0.3)
-    axes.legend(loc="lower right", title=f"mean and range of {count} runs", fontsize="small")
+    axes.legend(loc="lower right", title=f"mean and range of {len(first)} runs", fontsize="small")
     figure.savefig(path)
 
 

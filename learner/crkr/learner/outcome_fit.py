@@ -24,7 +24,7 @@ from crkr.learner.outcome_nearest import Neighbours
 from crkr.learner.outcome_scales import GOAL_SHARE
 from crkr.protocol import Array
 
-__all__ = ["RIDGE", "LocalFit", "fit_locally", "inverse_factor"]
+__all__ = ["RIDGE", "LocalFit", "fit_locally", "inverse_factor", "times"]
 
 RIDGE: Final = 1e-3  # for slopes per h; the weights sum to the number of neighbours that count
 _COINCIDING: Final = 1e-18  # squared distance below which trials tell no slope; it would be beyond all numbers
@@ -60,9 +60,9 @@ class LocalFit:
         f = np.zeros((s, b, r))
         f[:, :, 0] = 1.0
         f[:, :, r - step.shape[1] :] = step * self.slope[:, :, None]
-        v = np.matvec(self.M, f)
+        v = times(self.M, f)
         pulls = 1.0 + np.vecdot(v, v)
-        return self.o + np.matvec(self.J, step), np.sqrt(self.variance * pulls[self.sets].T)
+        return self.o + times(self.J, step), np.sqrt(self.variance * pulls[self.sets].T)
 
     def of(self, which: Indices) -> LocalFit:
         """That near some of the points."""
@@ -149,6 +149,11 @@ def inverse_factor(A: Array) -> Array:
         L, _ = lapack.dpotrf(one.T, lower=1, clean=1, overwrite_a=1)
         lapack.dtrtri(L, lower=1, overwrite_c=1)
     return A.swapaxes(-1, -2)
+
+
+def times(A: Array, x: Array) -> Array:
+    """Products (..., m) of matrices (..., m, n) and vectors (..., n)."""
+    return np.asarray((A @ x[..., None])[..., 0])
 
 
 def _weights(shares: Array) -> tuple[Array, Array]:

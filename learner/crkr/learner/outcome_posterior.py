@@ -18,7 +18,7 @@ from typing import Final, final
 import numpy as np
 
 from crkr.learner.anms_batch import Indices
-from crkr.learner.outcome_fit import LocalFit, fit_locally, inverse_factor
+from crkr.learner.outcome_fit import LocalFit, fit_locally, inverse_factor, times
 from crkr.learner.outcome_index import ObservedTrials
 from crkr.learner.outcome_nearest import nearest
 from crkr.learner.outcome_scales import GOAL_SHARE, OutcomeScales
@@ -144,5 +144,5 @@ def condition(mean: Array, spread: Array, line: OutcomeLine) -> Posterior:
     diagonal += R + _ROUNDING * diagonal.max(axis=1, keepdims=True)
     M = inverse_factor(S)
     G = (M.swapaxes(1, 2) @ (M @ JP)).swapaxes(1, 2)
-    g = mean - np.matvec(G, fit.o + np.matvec(J, mean - line.where))
+    g = mean - times(G, fit.o + times(J, mean - line.where))
     return Posterior(g, spread, J, G, np.sqrt(R))

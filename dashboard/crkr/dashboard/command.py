@@ -2,42 +2,49 @@
 
 from __future__ import annotations
 
-import logging
 import os
-from collections.abc import Callable
+from collections.abc import Sequence
+from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from ipaddress import ip_address
 from pathlib import Path
-from typing import Annotated, Final, final
+from typing import TYPE_CHECKING, Annotated, Final, final
 
 import typer
 
-from crkr.client import Client, Task
+from crkr.client import Client
 from crkr.client.console import configure_logging, stderr, stdout
 from crkr.client.options import Connect, LogLevel, Timeout, ZenohConfig
-from crkr.dashboard.feed import Feed
 from crkr.dashboard.ports import choose_port
-from crkr.dashboard.view import View
+from crkr.dashboard.sessions import LiveSession, ReplaySession, Session
 from crkr.dashboard.viewer import Viewer, page_address, require_display, stream_address
-from crkr.dashboard.watching import StopRequest, follow, wait_for_task
-from crkr.protocol import CrkrError, Unavailable
+from crkr.dashboard.watching import StopRequest
+from crkr.protocol import Unavailable
+
+if TYPE_CHECKING:
+    from crkr.dashboard.rerun_view import Recording
 
 __all__ = ["watch"]
 
-_logger = logging.getLogger(__name__)
 STREAM_PORT: Final = 9876
 WEB_PORT: Final = 9090
 PICTURES_S: Final = 1 / 15
 TABLES_S: Final = 0.25
 CLOSE_S: Final = 1.5
+CLOSE_REPLAY_S: Final = 60.0  # a long log is written for some seconds, and nobody waits to be let go
 LOOPBACK: Final = "127.0.0.1"
 
 
 def watch(
+    context: typer.Context,
     task: Annotated[str, typer.Argument(help="Name of the task, e.g. table-tennis.")],
     web: Annotated[bool, typer.Option("--web", help="Serve Rerun's viewer as a web page (the default).")] = False,
     native: Annotated[bool, typer.Option("--native", help="Open Rerun's viewer in a window.")] = False,
     terminal: Annotated[bool, typer.Option("--terminal", help="Show tables in this terminal; needs no Rerun.")] = False,
+    replay: Annotated[
+        Path | None,
+        typer.Option(metavar="DATA-DIR", help="Show what a server's data directory holds; no server is needed."),
+    ] = None,
     save: Annotated[Path | None, typer.Option(metavar="RUN.rrd", help="Also write the recording to this file.")] = None,
     port: Annotated[
         int | None, typer.Option(min=1, max=65535, help="Port of the recording; 9876 or the next free one.")
@@ -61,6 +68,9 @@ def watch(
     It only looks: starting, stopping or losing it changes nothing for the server and its workers, and it can be started
     at any time. End it with Ctrl-C.
 
+    With --replay it shows a run from its data directory, beside a server that uses it if need be: all but what only
+    workers publish, poses and paths above all. With --save and no --web or --native it then writes the file and ends.
+
     Example: crkr watch table-tennis --save run.rrd
     """
     if web + native + terminal > 1:
@@ -69,76 +79,83 @@ def watch(
     if terminal and (idle := [option for option, value in served.items() if value is not None]):
         raise typer.BadParameter(f"--terminal records and serves nothing; leave out {', '.join(idle)}")
     configure_logging(log_level)
-    with StopRequest() as stop, Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
-        session = _Session(client, task, patience, stop)
+    with ExitStack() as stack:
+        stop = stack.enter_context(StopRequest())
+        session: LiveSession | ReplaySession
+        if replay is None:
+            client = stack.enter_context(Client(connect, timeout_s=timeout, zenoh_config=zenoh_config))
+            session = LiveSession(client, task, patience, stop, _note)
+        else:
+            _refuse_given(context, ("connect", "timeout", "zenoh_config", "patience"))
+            session = stack.enter_context(closing(ReplaySession(replay, task, stop)))
+        if native:
+            require_display()
+        if save is not None:
+            save.open("ab").close()  # says at once where it cannot be written
         if terminal:
             complete = _in_terminal(session)
+        elif session.replayed and save is not None and not (web or native):
+            complete = _in_file(session, save)
         else:
-            if native:
-                require_display()
-            if save is not None:
-                save.open("ab").close()  # says at once where it cannot be written
             complete = _in_rerun(session, _Places.choose(bind, port, web_port), native, save)
     if not complete:
         _note("error: the recording could not be completed in time; its end may be missing")
         os._exit(1)  # an ordinary exit would wait for the same writer without end
 
 
-@final
-class _Session:
-    """What every display needs: the task to come, and when to stop."""
-
-    def __init__(self, client: Client, task: str, patience_s: float, stop: StopRequest) -> None:
-        self.client = client
-        self.task = task
-        self.patience_s = patience_s
-        self.stop = stop
-
-    def show(self, view: View, tick_s: float, goes_on: Callable[[], bool] = lambda: True) -> Feed:
-        """Feeds the view until stopped."""
-        feed = Feed(view)
-        task = wait_for_task(self.client, self.task, self.patience_s, self.stop, _note)
-        if task is None:
-            return feed
-        view.task(_description(task))
-        follow(self.client, task, feed, tick_s, lambda: goes_on() and not self.stop)
-        feed.finish()
-        return feed
+def _refuse_given(context: typer.Context, names: Sequence[str]) -> None:
+    """Raises `typer.BadParameter` for options of a server where none is asked."""
+    for name in names:
+        source = context.get_parameter_source(name)
+        if source is not None and source.name == "COMMANDLINE":
+            raise typer.BadParameter(f"--replay asks no server; leave out --{name.replace('_', '-')}")
 
 
-def _description(task: Task) -> str:
-    """What the task says of itself; a display can do without."""
-    try:
-        return task.spec.description
-    except CrkrError as error:
-        _logger.info("the task's description cannot be read: %s", error)
-        return ""
-
-
-def _in_terminal(session: _Session) -> bool:
+def _in_terminal(session: Session) -> bool:
     from crkr.dashboard.terminal import TerminalDisplay
 
-    with TerminalDisplay(stdout, session.task) as display:
-        display.finish(session.show(display, TABLES_S).progress)
+    with TerminalDisplay(stdout, session.task, replayed=session.replayed) as display:
+        display.finish(session.show(display, TABLES_S))
     return True
 
 
-def _in_rerun(session: _Session, places: _Places, native: bool, save: Path | None) -> bool:
+def _in_file(session: Session, save: Path) -> bool:
+    """Returns whether the recording was completed in time."""
+    from crkr.dashboard.rerun_view import Recording, RerunDisplay
+
+    recording = Recording(None, save)
+    try:
+        display = RerunDisplay(recording, session.task, replayed=session.replayed)
+        display.finish(session.show(display, PICTURES_S))
+    finally:
+        complete = _close(recording, session, save)
+    return complete
+
+
+def _in_rerun(session: LiveSession | ReplaySession, places: _Places, native: bool, save: Path | None) -> bool:
     """Returns whether the recording was completed in time."""
     from crkr.dashboard.rerun_view import Recording, RerunDisplay
 
     recording = Recording((places.bind, places.stream), save)
     try:
-        display = RerunDisplay(recording, session.task)  # before any viewer: it sends the layout first
+        # Before any viewer: it sends the layout first.
+        display = RerunDisplay(recording, session.task, replayed=session.replayed)
         with _viewer(places, native) as viewer:
-            feed = session.show(display, PICTURES_S, lambda: viewer.is_running)
-            display.finish(feed.progress)
+            display.finish(session.show(display, PICTURES_S, lambda: viewer.is_running))
+            if isinstance(session, ReplaySession):
+                _note("all of it is shown; Ctrl-C ends this")
+                session.stay(lambda: viewer.is_running)
             if not (native or session.stop or viewer.is_running):
                 raise Unavailable(f"the viewer's page is gone: {viewer.complaint()}")
     finally:
-        complete = recording.close(CLOSE_S)
-        if save is not None and complete:
-            _note(f"recording: {save}")
+        complete = _close(recording, session, save)
+    return complete
+
+
+def _close(recording: Recording, session: Session, save: Path | None) -> bool:
+    complete = recording.close(CLOSE_REPLAY_S if session.replayed and not session.stop else CLOSE_S)
+    if save is not None and complete:
+        _note(f"recording: {save}")
     return complete
 
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, final
 
 from crkr.dashboard.progress import Progress
 
-__all__ = ["WorkerFacts", "latency_ms", "percent", "reason_rows", "worker_rows"]
+__all__ = ["WorkerFacts", "latency_ms", "percent", "reason_rows", "speed", "worker_rows"]
 
 UNKNOWN: Final = "unknown"
 
@@ -76,6 +76,14 @@ def latency_ms(status: Mapping[str, Any]) -> dict[str, tuple[float, float]]:
         if isinstance(p50, int | float) and isinstance(p99, int | float):
             found[str(verb)] = (p50 / 1000, p99 / 1000)
     return found
+
+
+def speed(counts: Sequence[tuple[float, int]]) -> float:
+    """Mean rate [1/s] between the first and the last (time [s], count); 0 where there is no time between."""
+    if not counts or counts[-1][0] <= counts[0][0]:
+        return 0.0
+    (start, before), (end, after) = counts[0], counts[-1]
+    return (after - before) / (end - start)
 
 
 def percent(share: float | None) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from array import array
 from bisect import bisect_right
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final, final
 
@@ -156,11 +156,21 @@ class Progress:
 
     def finished_epochs(self, now: float) -> list[EpochResult]:
         """Evaluations that became complete: as many balls as the one before, or no new ball for a while."""
+        return self._close_epochs(lambda result: now - result.last_seen > QUIET_S)
+
+    def followed_epochs(self) -> list[EpochResult]:
+        """The same for a log that is read all at once: as many balls as the one before, or two more have begun.
+
+        Several workers play them, and begin the next evaluation's while the last balls of one are in play.
+        """
+        newest = sorted(self.epochs)[-2:]
+        return self._close_epochs(lambda result: result.epoch < newest[0])
+
+    def _close_epochs(self, is_over: Callable[[EpochResult], bool]) -> list[EpochResult]:
         finished = []
         complete = 0
         for result in sorted(self.epochs.values(), key=lambda result: result.epoch):
-            quiet = now - result.last_seen > QUIET_S
-            if not result.closed and (quiet or 0 < complete <= result.balls):
+            if not result.closed and (is_over(result) or 0 < complete <= result.balls):
                 result.closed = True
                 finished.append(result)
             complete = result.balls if result.closed else complete

@@ -15,7 +15,7 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from crkr.dashboard.facts import latency_ms, percent, reason_rows, worker_rows
+from crkr.dashboard.facts import latency_ms, percent, reason_rows, speed, worker_rows
 from crkr.dashboard.progress import EpochResult, Progress, Row
 from crkr.dashboard.telemetry import Telemetry
 
@@ -44,12 +44,15 @@ class TerminalDisplay:
     Args:
         console: Where to.
         task: The task's name.
+        replayed: The run is over: only `finish` shows anything, the tables, on a terminal or not.
     """
 
-    def __init__(self, console: Console, task: str) -> None:
+    def __init__(self, console: Console, task: str, *, replayed: bool = False) -> None:
         self._console = console
         self._task = task
-        self._live = Live(console=console, auto_refresh=False, transient=False) if console.is_terminal else None
+        self._replayed = replayed
+        is_live = console.is_terminal and not replayed
+        self._live = Live(console=console, auto_refresh=False, transient=False) if is_live else None
         self._description = ""
         self._status: Mapping[str, Any] = {}
         self._answered = 0.0
@@ -93,7 +96,7 @@ class TerminalDisplay:
         """A line beneath the tables, or on its own."""
         line = f"warning: {message}" if warning else message
         self._messages.append(line)
-        if self._live is None:
+        if self._live is None and not self._replayed:
             self._console.print(line)
 
     def tick(self, now: float, progress: Progress) -> None:
@@ -101,7 +104,9 @@ class TerminalDisplay:
         if now < self._next:
             return
         self._speed.append((now, progress.trials))
-        if self._live is not None:
+        if self._replayed:
+            self._next = now + RENEW_EVERY_S
+        elif self._live is not None:
             self._next = now + RENEW_EVERY_S
             self._live.update(self.page(progress, now), refresh=True)
         elif progress.seq != self._said:
@@ -111,6 +116,9 @@ class TerminalDisplay:
 
     def finish(self, progress: Progress) -> None:
         """Shows the end of the run."""
+        if self._replayed:
+            self._console.print(self.page(progress, self._answered), soft_wrap=False)
+            return
         self._next = 0.0
         self._said = -1
         self.tick(time.monotonic(), progress)
@@ -127,12 +135,10 @@ class TerminalDisplay:
         )
 
     def _line(self, progress: Progress) -> str:
-        (start, before), (end, after) = self._speed[0], self._speed[-1]
-        speed = (after - before) / (end - start) if end > start else 0.0
         status = self._status
         success = ", ".join(f"{name} {percent(progress.window.rate(name))}" for name in progress.criteria)
         return (
-            f"training trials {progress.trials}  {speed:.1f}/s  epoch {progress.epoch}  "
+            f"training trials {progress.trials}  {speed(self._speed):.1f}/s  epoch {progress.epoch}  "
             f"active {status.get('active', '-')} of {status.get('eligible', '-')} samples"
             + (f"  last 50: {success}" if len(progress.window) else "")
         )

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Protocol
+from typing import Any, Final, Protocol
 
 from crkr.dashboard.progress import EpochResult, Progress, Row
 from crkr.dashboard.telemetry import Telemetry
 
-__all__ = ["View"]
+__all__ = ["NOT_STORED", "View"]
+
+NOT_STORED: Final = "Replayed from the log, which has no poses, paths, widths or durations: workers only publish them."
 
 
 class View(Protocol):

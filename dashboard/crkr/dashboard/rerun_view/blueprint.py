@@ -12,33 +12,53 @@ PATHS_SHOWN: Final = 30  # trials whose paths stay in view
 EYE: Final = "eye"  # the camera of the 3D view, outside of "world" and so no worker's name
 
 
-def arrangement() -> rrb.Blueprint:
-    """The layout. It knows nothing of the run and can be sent first: the 3D view follows a camera in the data."""
+def arrangement(*, replayed: bool = False) -> rrb.Blueprint:
+    """The layout. It knows nothing of the run and can be sent first: the 3D view follows a camera in the data.
+
+    Args:
+        replayed: Leave out what a log cannot fill.
+    """
     return rrb.Blueprint(
-        rrb.Vertical(
-            rrb.Horizontal(
-                _scene(),
-                rrb.Vertical(
-                    _success(),
-                    rrb.Tabs(_cost(), _reasons(), _document("guide", "What is this?"), active_tab=0),
-                    row_shares=[1, 1],
-                ),
-                column_shares=[1.3, 1],
-            ),
-            rrb.Horizontal(
-                rrb.Tabs(_document("status", "Status"), _log(), active_tab=0),
-                _document("outcomes", "Outcomes"),
-                _exploration(),
-                rrb.Tabs(_learner(), _latency(), active_tab=0),
-                column_shares=[1.1, 0.8, 1, 1],
-            ),
-            row_shares=[1.75, 1],
-        ),
+        _stored() if replayed else _live(),
         rrb.TimePanel(timeline="trial", play_state="following", state="collapsed"),
         rrb.SelectionPanel(state="hidden"),
         rrb.BlueprintPanel(state="hidden"),
         auto_views=False,
         auto_layout=False,
+    )
+
+
+def _live() -> rrb.Vertical:
+    return rrb.Vertical(
+        rrb.Horizontal(
+            _scene(),
+            rrb.Vertical(
+                _success(),
+                rrb.Tabs(_cost(), _reasons(), _document("guide", "What is this?"), active_tab=0),
+                row_shares=[1, 1],
+            ),
+            column_shares=[1.3, 1],
+        ),
+        rrb.Horizontal(
+            rrb.Tabs(_document("status", "Status"), _log(), active_tab=0),
+            _document("outcomes", "Outcomes"),
+            _exploration(),
+            rrb.Tabs(_learner(), _latency(), active_tab=0),
+            column_shares=[1.1, 0.8, 1, 1],
+        ),
+        row_shares=[1.75, 1],
+    )
+
+
+def _stored() -> rrb.Vertical:
+    return rrb.Vertical(
+        rrb.Horizontal(_success(), _cost()),
+        rrb.Horizontal(
+            rrb.Tabs(_document("status", "Status"), _log(), _document("guide", "What is this?"), active_tab=0),
+            rrb.Tabs(_document("outcomes", "Outcomes"), _reasons(), active_tab=0),
+            _learner(),
+        ),
+        row_shares=[1.4, 1],
     )
 
 

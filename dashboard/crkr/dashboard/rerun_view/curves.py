@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import defaultdict, deque
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 from statistics import median
 from typing import Any, final
 
@@ -26,6 +27,9 @@ class Curves:
 
     Args:
         recording: Where to.
+
+    Attributes:
+        waiting: Numbers that are not sent yet.
     """
 
     def __init__(self, recording: Recording) -> None:
@@ -35,6 +39,7 @@ class Curves:
         self._durations: dict[str, list[float]] = defaultdict(list)
         self._recent: dict[str, deque[float]] = defaultdict(lambda: deque(maxlen=WINDOW))
         self._last_status_trial = -1
+        self.waiting = 0
 
     def trials(self, rows: Iterable[Row]) -> None:
         """Cost, running success and running reasons of training trials."""
@@ -86,7 +91,7 @@ class Curves:
                 times["trial"],
                 times["epoch"],
                 result.rate(name),
-                rr.SeriesLines(colors=colour, names=name, widths=2.5),
+                partial(rr.SeriesLines, colors=colour, names=name, widths=2.5),
             )
 
     def status(self, status: Mapping[str, Any], progress: Progress) -> None:
@@ -97,18 +102,18 @@ class Curves:
         for name, colour in (("eligible", NEUTRAL), ("active", LINES[3])):
             value = status.get(name)
             if isinstance(value, int | float):
-                style = rr.SeriesLines(colors=colour, names=name, widths=2.0)
+                style = partial(rr.SeriesLines, colors=colour, names=name, widths=2.0)
                 self._append(("learner", name), progress.trials, progress.epoch, float(value), style)
         served = latency_ms(status)
         for verb, colour in (("predict", LINES[4]), ("report", LINES[5])):
             if verb in served:
-                style = rr.SeriesLines(colors=colour, names=f"server: {verb}, p99")
+                style = partial(rr.SeriesLines, colors=colour, names=f"server: {verb}, p99")
                 self._append(("latency", f"server_{verb}"), progress.trials, progress.epoch, served[verb][1], style)
 
     def flush(self, progress: Progress) -> None:
         """Sends what was collected."""
         for index, (name, durations) in enumerate(sorted(self._durations.items())):
-            style = rr.SeriesLines(colors=LINES[index % len(LINES)], names=f"worker: {name}", widths=1.5)
+            style = partial(rr.SeriesLines, colors=LINES[index % len(LINES)], names=f"worker: {name}", widths=1.5)
             self._append(("latency", f"worker_{name}"), progress.trials, progress.epoch, median(durations), style)
         self._durations.clear()
         for path, rows in self._rows.items():
@@ -121,16 +126,23 @@ class Curves:
                 rr.Scalars.columns(scalars=[value for _, _, value in rows]),
             )
         self._rows.clear()
+        self.waiting = 0
 
     def _line(self, path: Path, row: Row, value: float, colour: int, name: str, width: float = 1.5) -> None:
-        self._append(path, row.trial, row.epoch, value, rr.SeriesLines(colors=colour, names=name, widths=width))
+        self._append(path, row.trial, row.epoch, value, lambda: rr.SeriesLines(colors=colour, names=name, widths=width))
 
     def _point(self, path: Path, row: Row, value: float, colour: int, name: str) -> None:
-        style = rr.SeriesPoints(colors=colour, names=name, markers="circle", marker_sizes=1.8)
-        self._append(path, row.trial, row.epoch, value, style)
+        self._append(
+            path,
+            row.trial,
+            row.epoch,
+            value,
+            lambda: rr.SeriesPoints(colors=colour, names=name, markers="circle", marker_sizes=1.8),
+        )
 
-    def _append(self, path: Path, trial: int, epoch: int, value: float, style: Any) -> None:
+    def _append(self, path: Path, trial: int, epoch: int, value: float, style: Callable[[], Any]) -> None:
         if path not in self._styled:
             self._styled.add(path)
-            self._recording.fixed(path, style)
+            self._recording.fixed(path, style())  # made only here: it takes longer than all the rest
         self._rows[path].append((trial, epoch, value))
+        self.waiting += 1

@@ -9,6 +9,7 @@ from typing import Any, Final, final
 
 import rerun as rr
 
+from crkr.dashboard.facts import speed
 from crkr.dashboard.progress import EpochResult, Progress, Row
 from crkr.dashboard.rerun_view.blueprint import arrangement
 from crkr.dashboard.rerun_view.curves import Curves
@@ -16,10 +17,12 @@ from crkr.dashboard.rerun_view.documents import guide_page, outcomes_page, statu
 from crkr.dashboard.rerun_view.recording import Recording
 from crkr.dashboard.rerun_view.stage import Stage
 from crkr.dashboard.telemetry import Telemetry
+from crkr.dashboard.view import NOT_STORED
 
 __all__ = ["RerunDisplay"]
 
 NUMBERS_EVERY_S: Final = 0.5  # small chunks cost a viewer far more than what they hold
+MOST_NUMBERS: Final = 50_000  # some megabytes
 PAGES_EVERY_S: Final = 1.0
 
 
@@ -30,12 +33,16 @@ class RerunDisplay:
     Args:
         recording: Where to.
         task: The task's name.
+        replayed: The run comes from its log, all at once and without what workers publish.
     """
 
-    def __init__(self, recording: Recording, task: str) -> None:
+    def __init__(self, recording: Recording, task: str, *, replayed: bool = False) -> None:
         self._recording = recording
         self._task = task
-        recording.layout(arrangement())  # first: a viewer that has data and no layout makes up one of its own
+        self._replayed = replayed
+        recording.layout(
+            arrangement(replayed=replayed)
+        )  # first: a viewer that has data and no layout makes up one of its own
         self._stage = Stage(recording)
         self._curves = Curves(recording)
         self._status: Mapping[str, Any] = {}
@@ -83,7 +90,7 @@ class RerunDisplay:
     def tick(self, now: float, progress: Progress) -> None:
         """Sends what is due."""
         self._stage.tick(now)
-        if now >= self._next_numbers:
+        if self._curves.waiting >= MOST_NUMBERS or (now >= self._next_numbers and not self._replayed):
             self._next_numbers = now + NUMBERS_EVERY_S
             self._curves.flush(progress)
         if now >= self._next_pages:
@@ -93,7 +100,7 @@ class RerunDisplay:
 
     def finish(self, progress: Progress) -> None:
         """Sends everything that is still here."""
-        now = time.monotonic()
+        now = self._answered if self._replayed else time.monotonic()
         self.tick(now, progress)
         self._curves.flush(progress)
         self._write_pages(progress, now)
@@ -102,10 +109,9 @@ class RerunDisplay:
         self._times = {"trial": progress.trials, "epoch": progress.epoch}
 
     def _write_pages(self, progress: Progress, now: float) -> None:
-        (start, before), (end, after) = self._speed[0], self._speed[-1]
-        speed = (after - before) / (end - start) if end > start else 0.0
+        remark = f"*{NOT_STORED}*" if self._replayed else ""
         pages = {
-            "status": status_page(self._task, self._status, now - self._answered, progress, speed),
+            "status": status_page(self._task, self._status, now - self._answered, progress, speed(self._speed), remark),
             "outcomes": outcomes_page(progress),
         }
         for name, text in pages.items():

@@ -29,9 +29,14 @@ An **epoch** is what is trained between two evaluations. Another horizontal axis
 
 
 def status_page(
-    task: str, status: Mapping[str, Any], status_age_s: float, progress: Progress, trials_per_second: float
+    task: str,
+    status: Mapping[str, Any],
+    status_age_s: float,
+    progress: Progress,
+    trials_per_second: float,
+    remark: str = "",
 ) -> str:
-    """The run in numbers, `status` being what the server answered `status_age_s` ago."""
+    """The run in numbers, `status` being what the server answered `status_age_s` ago; a remark stands at the end."""
     newest = max((result for result in progress.epochs.values() if result.closed), default=None, key=lambda r: r.epoch)
     kinds = progress.kinds
     lines = [
@@ -58,8 +63,10 @@ def status_page(
             ("asked of the server", "median", "p99"),
             [(verb, f"{p50:.2f} ms", f"{p99:.2f} ms") for verb, (p50, p99) in sorted(latency_ms(status).items())],
         ),
+        "",
+        remark,
     ]
-    return "\n".join(lines)
+    return "\n".join(lines).rstrip()
 
 
 def guide_page(task: str, description: str) -> str:

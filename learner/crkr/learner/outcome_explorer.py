@@ -33,7 +33,8 @@ __all__ = ["OutcomeExplorer"]
 
 _ATTEMPTS: Final = 32
 _BLOCK: Final = 32  # states at a time, of whose distances to all trials there is a matrix
-_BLOCK_ENTRIES: Final = 40_000  # coordinates of their neighbours
+_BLOCK_ENTRIES: Final = 10_000  # coordinates of their neighbours; more beside a large matrix of distances, since what
+# a process keeps of freed memory is a multiple of the largest piece, and memory that it must ask for again costs most
 
 
 @final
@@ -92,7 +93,8 @@ class OutcomeExplorer:
             parts: list[Any] = list(choose(states[None], *alone))
             return Choice(*(part[0, ...] for part in parts))
         neighbours = min(self.settings.neighbours, len(self.trials))
-        size = max(1, min(_BLOCK, _BLOCK_ENTRIES // (neighbours * self.trials.X.shape[1])))
+        entries = _BLOCK_ENTRIES + 2 * len(self.trials)
+        size = max(1, min(_BLOCK, entries // (neighbours * self.trials.X.shape[1])))
         starts = range(0, len(states), size)
         blocks = [choose(*(part[start : start + size] for part in (states, *rest))) for start in starts]
         return Choice(*map(np.concatenate, zip(*blocks, strict=True)))

@@ -17,6 +17,8 @@ __all__ = ["News", "Poller"]
 SAMPLES_EVERY_S: Final = 0.5
 STATUS_EVERY_S: Final = 1.0
 PAGE: Final = 1000
+ANSWER_S: Final = 0.2  # an answer on its way may take so long at the end
+INTERRUPTED_S: Final = 1.0
 
 
 @final
@@ -60,10 +62,10 @@ class Poller:
 
     def __exit__(self, *_: object) -> None:
         self._stop.set()
-        self._thread.join(timeout=0.2)
+        self._thread.join(timeout=ANSWER_S)
         if self._thread.is_alive():
             self._interrupt()
-            self._thread.join(timeout=1.0)
+            self._thread.join(timeout=INTERRUPTED_S)
 
     def take(self) -> list[News]:
         """What came since the last call; never waits."""

@@ -32,6 +32,7 @@ class Child:
         self._output = logs / f"{name}.out"
         self._read_to = self.log.stat().st_size if self.log.exists() else 0
         self._begun = self._read_to
+        self._interrupted = False
         command = [sys.executable, "-m", "crkr.sim_worker.demo.tether", *arguments]
         with self.log.open("ab") as errors, self._output.open("wb") as output:
             # A session of its own: the terminal's Ctrl-C reaches the demo only, which ends its children in order.
@@ -66,9 +67,10 @@ class Child:
         return self._output.read_text(errors="replace")
 
     def interrupt(self) -> None:
-        """Asks it to end."""
-        if self._process.poll() is None:
+        """Asks it to end, once: a second signal would end `crkr watch` at once, with half a recording."""
+        if not self._interrupted and self._process.poll() is None:
             self._process.send_signal(signal.SIGINT)
+            self._interrupted = True
 
     def end(self, patience_s: float) -> bool:
         """Waits for its end; kills what is left of it after `patience_s` and says False."""

@@ -19,7 +19,7 @@ START_S: Final = 30.0
 REACH_S: Final = 5.0
 TICK_S: Final = 0.1
 WORKERS_END_S: Final = 2.6
-REST_END_S: Final = 2.0
+END_S: Final = 4.6  # in a hurry, for all of it; `crkr watch` needs 3.7 where server, viewer and file are all slow
 RECORDING_S: Final = 20.0
 ECHOED: Final = ("warning: ", "the server answers again", "port ")
 
@@ -49,6 +49,7 @@ class Crew:
         self._server: Child | None = None
         self._watch: Child | None = None
         self._workers: Child | None = None
+        self._hurried: float | None = None
 
     def start_server(self, stop: StopRequest, client: Client) -> bool:
         """Starts the server and waits until it answers; False when stopped meanwhile.
@@ -118,8 +119,10 @@ class Crew:
 
     def stop_workers(self, *, hurry: bool = False) -> None:
         """Ends the workers, if they still run; in a hurry, the dashboard begins to end at the same time."""
-        if hurry and self._watch is not None:
-            self._watch.interrupt()
+        if hurry:
+            self._hurried = self._hurried or time.monotonic()
+            if self._watch is not None:
+                self._watch.interrupt()
         if self._workers is not None:
             self._workers.interrupt()
             self._workers.end(WORKERS_END_S)
@@ -130,7 +133,8 @@ class Crew:
         rest = [child for child in (self._watch, self._server) if child is not None]
         for child in rest:
             child.interrupt()
-        deadline = time.monotonic() + (REST_END_S if hurry else RECORDING_S)
+        now = time.monotonic()
+        deadline = (self._hurried or now) + END_S if hurry else now + RECORDING_S
         for child in rest:
             if not child.end(deadline - time.monotonic()):
                 self._say(f"warning: {child.name} did not end in time and was killed")

@@ -40,7 +40,8 @@ def draw_learning_curve(history: RunHistory, title: str, budget: int, path: Path
         _budget(axes, history, budget)
         axes.set(title=title, xlabel="training trials", ylabel="success on the fixed contexts [%]", ylim=(0.0, 101.0))
         axes.grid(alpha=0.25)
-        axes.legend(loc="lower right", frameon=False)
+        # Outside: within the axes there is no corner that every run leaves free.
+        figure.legend(loc="outside lower center", ncols=len(COLOURS), frameon=False)
         figure.savefig(path, format="png")
     return True
 
@@ -61,10 +62,12 @@ def _budget(axes: Axes, history: RunHistory, budget: int) -> None:
     if history.filled_at is None:
         return
     axes.axvline(history.filled_at, color="0.4", linestyle="--", linewidth=1)
+    late = history.filled_at > sum(axes.get_xlim()) / 2  # then the words go to the left of the line
     axes.annotate(
         f"active set full ({budget})",
         (history.filled_at, 3.0),
-        xytext=(5, 0),
+        xytext=(-5 if late else 5, 0),
         textcoords="offset points",
+        ha="right" if late else "left",
         color="0.3",
     )

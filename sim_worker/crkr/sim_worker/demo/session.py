@@ -67,7 +67,7 @@ def run_demo(
     with ExitStack() as cleanup, StopRequest() as stop:
         crew = Crew(settings, say)
         cleanup.callback(lambda: crew.stop_rest(hurry=True))
-        cleanup.callback(crew.stop_workers)
+        cleanup.callback(lambda: crew.stop_workers(hurry=True))
         client = cleanup.enter_context(Client(settings.endpoint, timeout_s=CALL_S))
         follower = Follower(client, settings.task)
         if crew.start_server(stop, client):

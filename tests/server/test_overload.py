@@ -77,6 +77,25 @@ def test_beyond_a_full_queue_requests_are_refused_as_busy_while_another_client_i
     assert found["page"] >= 256
 
 
+def test_a_client_that_asks_more_than_can_be_refused_does_not_make_another_task_wait_for_all_of_it(
+    server: Any, reach: dict[str, Any]
+) -> None:
+    with Client(server.endpoint) as client:
+        client.create_task(reach)
+        task = client.create_task({**reach, "name": "other"})
+        task.report(state=[0.5, 0.5], goal=[0.0] * 3, cost=0.5, success=True, wait=True)
+        command = [sys.executable, "-c", GREEDY, server.endpoint, "predict"]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as greedy:
+            try:
+                assert greedy.stdout is not None
+                assert greedy.stdout.readline() == "asking\n"
+                until = time.monotonic() + 3.0
+                while time.monotonic() < until:
+                    assert task.predict([0.5, 0.5], timeout_s=2.0).active == 1
+            finally:
+                greedy.kill()
+
+
 @pytest.mark.parametrize("rounds", [1, pytest.param(5, marks=pytest.mark.campaign)], ids=["short", "long"])
 def test_clients_that_ask_and_stop_reading_do_not_hold_up_the_others(
     rounds: int, server: Any, reach: dict[str, Any]

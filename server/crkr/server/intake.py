@@ -1,9 +1,10 @@
 """Takes queries off Zenoh as they come: answers predictions itself, queues all else, refuses what is too much.
 
-Zenoh's receiving threads only ever put a query into a deep channel. One thread at a time drains it here, so no client
-can make the server deaf to the others. Predictions that take little work are answered on this very thread, tasks in
-turn, as handing them over would cost as much; where one of those asked does not read, another thread takes over. All
-else waits in a lane.
+Zenoh's receiving threads only ever put a query into a channel. One thread at a time drains it here, so no client can
+make the server deaf to the others. A client that sends more than can be refused finds the channel full, and its
+connection waits; everyone waits behind what is in the channel, which is why it is not deep. Predictions that take
+little work are answered on this very thread, tasks in turn, as handing them over would cost as much; where one of those
+asked does not read, another thread takes over. All else waits in a lane.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ __all__ = ["Intake"]
 
 logger = logging.getLogger(__name__)
 
-_CHANNEL: Final = 65536  # queries, between Zenoh and the intake thread
+_CHANNEL: Final = 1024  # queries, between Zenoh and the intake thread: drained in a tenth of a second
 _ROUND: Final = 64  # queries taken off before predictions are answered again
 _BATCH: Final = 64  # predictions answered together
 _SMALL: Final = 4096  # bytes; a larger predict is not even looked at here

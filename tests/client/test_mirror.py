@@ -1,7 +1,11 @@
 """A local copy of a policy answers as the server does, follows it, goes on without it, and says how old it is."""
 
+import itertools
+import signal
 import threading
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 from typing import Any
 from uuid import UUID, uuid4
 
@@ -10,9 +14,7 @@ import pytest
 
 from crkr.client import Client, Task
 from crkr.client.mirror import Mirror
-from crkr.learner import Learner
 from crkr.protocol import (
-    Internal,
     Invalid,
     NoSamples,
     NovelState,
@@ -20,8 +22,6 @@ from crkr.protocol import (
     TaskSpec,
     Unavailable,
     UnknownTask,
-    pack,
-    unpack,
 )
 
 PATIENCE_S = 20.0
@@ -210,42 +210,37 @@ def test_threads_may_predict_while_it_is_refreshed(client: Client) -> None:
     assert not failures
 
 
-def test_it_answers_while_there_is_no_server_and_catches_up_with_the_next_one(
-    start_server: Callable[..., Any], free_port: int, processes: Any
+def test_a_refresh_ends_by_its_deadline_while_another_waits_for_a_server_that_stands_still(
+    start_server: Callable[..., Any], processes: Any
 ) -> None:
-    first = start_server(port=free_port)
-    with Client(first.endpoint) as client:
+    server = start_server()
+    with Client(server.endpoint, timeout_s=PATIENCE_S) as client:
         task = client.create_task(specification())
-        practise(task, 20, 1)
-        with task.mirror(every_s=0.1) as mirror, task.mirror(max_age_s=2.0) as cautious:
-            before = mirror.predict(PROBES, True, trial_ids=IDS)
-            first.process.kill()
-            first.process.wait()
-            age_s = mirror.age_s
-            processes.wait_until(lambda: mirror.fault is not None)
-            assert isinstance(mirror.fault, Unavailable)
-            assert mirror.age_s > age_s
-            np.testing.assert_array_equal(mirror.predict(PROBES, True, trial_ids=IDS).goals, before.goals)
-            processes.wait_until(lambda: cautious.age_s > 2.0)
-            with pytest.raises(Unavailable, match="more than 2 s"):
-                cautious.predict(PROBES)
-
-            start_server(port=free_port)
-            seq = practise(task, 5, 2)
-            for one in (mirror, cautious):
-                one.wait_for(seq, PATIENCE_S)
-                assert one.fault is None
-                assert_alike(one.predict(PROBES, True, trial_ids=IDS), task.predict(PROBES, True, trial_ids=IDS))
+        practise(task, 5, 1)
+        with task.mirror(every_s=1000.0, pause_s=1000.0) as mirror, ThreadPoolExecutor(1) as pool:
+            server.process.send_signal(signal.SIGSTOP)
+            try:
+                waiting = pool.submit(mirror.refresh, PATIENCE_S)
+                processes.wait_until(mirror._refreshing.locked)
+                with pytest.raises(Unavailable, match="another refresh"):
+                    mirror.refresh(0.2)
+                assert not waiting.done()
+            finally:
+                server.process.send_signal(signal.SIGCONT)
+            assert not waiting.result(PATIENCE_S)
+            for time_s in (0.0, float("nan"), float("inf")):
+                with pytest.raises(Invalid, match="timeout_s"):
+                    mirror.wait_for(1, time_s)
 
 
-def test_a_model_that_cannot_be_read_leaves_the_copy_as_it_was(make_peer: Callable[..., Any]) -> None:
-    learner = Learner(specification())
-    learner.report(state=PROBES[:9], goal=np.zeros((9, 3)), cost=0.1, success=True)
-    model = learner.model.to_wire()
-    peer = make_peer([unpack(pack(model)), unpack(pack({**model, "costs": np.zeros(8)}))])
-    with Client(peer.endpoint) as client, client.task("putt").mirror(every_s=1000.0) as mirror:
-        before = mirror.predict(PROBES)
-        with pytest.raises(Internal, match="costs"):
-            mirror.refresh()
-        assert isinstance(mirror.fault, Internal)
-        np.testing.assert_array_equal(mirror.predict(PROBES).goals, before.goals)
+@pytest.mark.parametrize("order", list(itertools.permutations(("client", "mirror", "outbox"))))
+def test_client_mirror_and_outbox_may_be_closed_in_any_order(
+    shared_endpoint: str, tmp_path: Path, processes: Any, order: tuple[str, ...]
+) -> None:
+    client = Client(shared_endpoint)
+    task = client.create_task(specification())
+    practise(task, 5, 1)
+    open_ones: dict[str, Any] = {"client": client, "mirror": task.mirror(), "outbox": task.outbox(tmp_path / "box")}
+    for name in order:
+        open_ones[name].close()
+    processes.wait_until(lambda: not [thread for thread in threading.enumerate() if thread.name.endswith(task.name)])

@@ -1,7 +1,8 @@
 """What a fork would break: Zenoh's threads stay in the parent, so in the child its objects can only be left alone.
 
-To open a session there, to call through one, or merely to free one waits forever. So the child is refused with a clear
-error, and keeps what it inherited until it ends.
+To open a session there, to call through one, or merely to free one waits forever. To close a database of SQLite there
+takes the parent's latest entries away. So the child is refused with a clear error, and keeps what it inherited until it
+ends.
 """
 
 from __future__ import annotations
@@ -21,13 +22,13 @@ _held: Final[WeakKeyDictionary[object, object]] = WeakKeyDictionary()
 class _Process:
     """What this process knows of itself."""
 
-    used_zenoh = False
-    inherited_zenoh = False
+    holds = False
+    inherited = False
 
 
 def hold(owner: object, resource: object) -> None:
-    """Notes that `owner` has a Zenoh object, until `release` or the owner's end."""
-    _Process.used_zenoh = True
+    """Notes that `owner` has what cannot cross a fork, until `release` or the owner's end."""
+    _Process.holds = True
     _held[owner] = resource
 
 
@@ -37,21 +38,21 @@ def release(owner: object) -> None:
 
 
 def is_forked() -> bool:
-    """Whether this process was forked from one that had used Zenoh."""
-    return _Process.inherited_zenoh
+    """Whether this process was forked from one that held such a thing."""
+    return _Process.inherited
 
 
 def check_not_forked() -> None:
     """Raises `Unavailable` where `is_forked`."""
     if is_forked():
         raise Unavailable(
-            "this process was forked from one that had a client, and Zenoh cannot cross a fork; "
+            "this process was forked from one that had a client, which cannot cross a fork; "
             "start processes with multiprocessing's 'spawn' method, or fork before the first call"
         )
 
 
 def _in_child() -> None:
-    _Process.inherited_zenoh = _Process.inherited_zenoh or _Process.used_zenoh
+    _Process.inherited = _Process.inherited or _Process.holds
     for resource in list(_held.values()):
         ctypes.pythonapi.Py_IncRef(ctypes.py_object(resource))  # never freed, on purpose
 

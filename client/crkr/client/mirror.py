@@ -15,9 +15,12 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Final, final
 from uuid import UUID
 
-from crkr.client.rpc import reading
+import numpy as np
+
+from crkr.client.forks import check_not_forked, is_forked
+from crkr.client.rpc import Rpc, positive, reading
 from crkr.learner import Model
-from crkr.protocol import CrkrError, Invalid, Prediction, Unavailable, check_states, random_ids
+from crkr.protocol import Conflict, CrkrError, Internal, Invalid, Prediction, Unavailable, check_states, random_ids
 
 if TYPE_CHECKING:
     from crkr.client.task import Task
@@ -43,16 +46,18 @@ class Mirror:
     def __init__(
         self,
         task: Task,
+        rpc: Rpc,
         *,
         every_s: float = 1.0,
         pause_s: float = 0.1,
         max_age_s: float | None = None,
         timeout_s: float | None = None,
     ) -> None:
-        """Fetches the first copy.
+        """Fetches the first copy; `Task.mirror` makes one.
 
         Args:
             task: What is copied.
+            rpc: What asks which server it is.
             every_s: Longest time between questions whether the copy is up to date [s]; a third of `max_age_s` at most.
             pause_s: Shortest time between two copies [s].
             max_age_s: From which age predictions are refused [s]; None: they never are.
@@ -67,7 +72,7 @@ class Mirror:
             if value is not None and not 0.0 < value < float("inf"):
                 raise Invalid(f"{name} must be a positive number of seconds; got {value!r}", details={"field": name})
         self.name: Final = task.name
-        self._task, self._pause_s, self._max_age_s = task, pause_s, max_age_s
+        self._task, self._rpc, self._pause_s, self._max_age_s = task, rpc, pause_s, max_age_s
         self._every_s = every_s if max_age_s is None else min(every_s, max_age_s / 3.0)
         self._changed = threading.Condition()
         self._closed = threading.Event()
@@ -76,7 +81,7 @@ class Mirror:
         # Before the first copy, or what changes between the two would go unnoticed for a while.
         self._notices = task.subscribe(("model",), capacity=1, timeout_s=timeout_s)
         try:
-            self._model, self._confirmed = _fetched(task, None, timeout_s)
+            self._model, self._server, self._confirmed = self._fetch(None, timeout_s)
         except BaseException:
             self._notices.close()
             raise
@@ -128,29 +133,35 @@ class Mirror:
         Raises:
             Unavailable: No answer by the deadline, or the mirror was closed.
             UnknownTask: The server has no such task any more.
+            Conflict: It has another task of that name, with other states or goals.
         """
-        if self._closed.is_set():
-            raise Unavailable(f"the local copy of task {self.name!r} was closed")
-        with self._refreshing:
+        self._check_open()
+        deadline = self._rpc.deadline(timeout_s)
+        if not self._refreshing.acquire(timeout=max(deadline - time.monotonic(), 0.0)):
+            raise Unavailable(f"another refresh of the local copy of task {self.name!r} was in progress")
+        try:
             before = self._model
-            try:
-                model, confirmed = _fetched(self._task, before, timeout_s)
-            except CrkrError as error:
-                self._fault = error
-                raise
+            model, server, confirmed = self._fetch(before, max(deadline - time.monotonic(), 0.001))
             with self._changed:
-                self._model, self._confirmed, self._fault = model, confirmed, None
+                self._model, self._server, self._confirmed, self._fault = model, server, confirmed, None
                 self._changed.notify_all()
+        except CrkrError as error:
+            self._fault = error
+            raise
+        finally:
+            self._refreshing.release()
         return model is not before
 
     def wait_for(self, version: int, timeout_s: float) -> None:
         """Waits until the copy has applied this log position, e.g. the last of a receipt's `seqs`.
 
         Raises:
+            Invalid: A time that is not positive and finite.
             Unavailable: It has not by the deadline, or the mirror was closed.
         """
+        check_not_forked()
         with self._changed:
-            self._changed.wait_for(lambda: self._model.version >= version or self._closed.is_set(), timeout_s)
+            self._changed.wait_for(lambda: self._model.version >= version or self._closed.is_set(), positive(timeout_s))
         if self._model.version < version:
             why = f" ({self._fault.message})" if self._fault is not None else ""
             raise Unavailable(
@@ -160,12 +171,21 @@ class Mirror:
 
     def close(self) -> None:
         """Ends refreshing; idempotent. What was predicted stays valid."""
+        if is_forked():
+            return
         self._closed.set()
         with self._changed:
             self._changed.notify_all()
         self._notices.close()
         if threading.current_thread() is not self._thread:
             self._thread.join(_JOIN_S)
+
+    def __repr__(self) -> str:
+        fault = self._fault.code if self._fault is not None else None
+        return (
+            f"Mirror({self.name!r}, model_version={self.model_version}, active={self._model.active}, "
+            f"age_s={self.age_s:.1f}, fault={fault})"
+        )
 
     def __enter__(self) -> Mirror:
         return self
@@ -175,9 +195,13 @@ class Mirror:
     ) -> None:
         self.close()
 
-    def _check(self) -> None:
+    def _check_open(self) -> None:
+        check_not_forked()  # in the child nothing would refresh it
         if self._closed.is_set():
             raise Unavailable(f"the local copy of task {self.name!r} was closed")
+
+    def _check(self) -> None:
+        self._check_open()
         if self._max_age_s is not None and (age := self.age_s) > self._max_age_s:
             why = f" ({self._fault.message})" if self._fault is not None else ""
             raise Unavailable(
@@ -194,14 +218,42 @@ class Mirror:
             try:
                 self.refresh(_ATTEMPT_S)
             except Exception as error:  # whatever it is, the next attempt may do better; `fault` and `age_s` tell
+                if not isinstance(error, CrkrError):
+                    self._fault = Internal(f"the local copy of task {self.name!r} was not refreshed: {error!r}")
                 _logger.debug("the local copy of task %s was not refreshed: %s", self.name, error)
 
+    def _fetch(self, known: Model | None, timeout_s: float | None) -> tuple[Model, UUID, float]:
+        """The server's model (the known one where it still is), which server, and when it was asked [s, monotonic].
 
-def _fetched(task: Task, known: Model | None, timeout_s: float | None) -> tuple[Model, float]:
-    """The server's model, the known one where it still is, and since when that is known [s, monotonic clock]."""
-    asked = time.monotonic()
-    reply = task.model(None if known is None else known.version, timeout_s=timeout_s)
-    if known is not None and reply.get("unchanged") is True:
-        return known, asked
-    with reading("model"):
-        return Model.from_wire(reply), asked
+        Another server may have learned something else up to the same version, so that one is asked for all. The id is
+        asked for first: where the server changes between the two questions, the next refresh sees it.
+        """
+        asked = time.monotonic()
+        deadline = self._rpc.deadline(timeout_s)
+        server = self._rpc.server_id(deadline - asked)
+        same = known is not None and server == self._server
+        reply = self._task.model(
+            known.version if known is not None and same else None, timeout_s=max(deadline - time.monotonic(), 0.001)
+        )
+        if known is not None and same and reply.get("unchanged") is True:
+            return known, server, asked
+        with reading("model"):
+            model = Model.from_wire(reply)
+        if known is not None and not _alike(known, model):
+            raise Conflict(
+                f"the server's task {self.name!r} is another now, with other states or goals, so that the local copy "
+                "stays as it was; make a new mirror"
+            )
+        return model, server, asked
+
+
+def _alike(one: Model, other: Model) -> bool:
+    """Whether states and goals are of the same dimensions and bounds, which no task changes."""
+    return all(
+        np.array_equal(mine, theirs)
+        for mine, theirs in (
+            (one.parameters.kernel.centre, other.parameters.kernel.centre),
+            (one.parameters.low, other.parameters.low),
+            (one.parameters.high, other.parameters.high),
+        )
+    )

@@ -6,6 +6,7 @@ each row has a digest, so that a trial is never sent otherwise than it was repor
 
 from __future__ import annotations
 
+import os
 import sqlite3
 import threading
 from collections.abc import Iterator, Sequence
@@ -15,7 +16,8 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple, final
 from uuid import UUID
 
-from crkr.protocol import Conflict, CrkrError, StorageError, TaskSpec, Trial, pack, unpack
+from crkr.client.forks import check_not_forked, hold, is_forked, release
+from crkr.protocol import Conflict, CrkrError, StorageError, TaskSpec, Trial, Unavailable, pack, unpack
 
 __all__ = ["OutboxFile", "Refused"]
 
@@ -29,54 +31,59 @@ _IN_USE: Final = ("SQLITE_BUSY", "SQLITE_LOCKED")
 
 
 class Refused(NamedTuple):
-    """A trial that the server does not take.
+    """A trial that was put aside: the server does not take it, or the file no longer holds it as it was.
 
     Attributes:
         number: Its place in the file.
-        id: The trial's.
-        error: The server's words.
-        trial: All of it, as it would have been sent.
+        id: The trial's; None for one that is damaged.
+        error: The server's code and words; "STORAGE: ..." for one that is damaged.
+        trial: All of it, as it would have been sent; empty for one that is damaged.
     """
 
     number: int
-    id: UUID
+    id: UUID | None
     error: str
     trial: dict[str, Any]
 
 
 @final
 class OutboxFile:
-    """Trials to be sent; any thread may call it.
+    """Trials to be sent; any thread may call it, but no process that was forked meanwhile.
 
     Args:
         path: Made where it is not there.
         task: The task's name.
 
     Raises:
-        StorageError: It cannot be opened, is none of these files, or another process has it open.
+        StorageError: It cannot be opened, is none of these files, or is open already.
         Conflict: It belongs to another task.
+        Unavailable: This process was forked from one that had a client; so do all methods.
     """
 
     def __init__(self, path: Path, task: str) -> None:
-        self._path, self._task = path, task
+        check_not_forked()
+        self._path, self._task = path.absolute(), task  # a program may change its directory later
         self._lock = threading.Lock()
+        self._closed = False
         self._spec: TaskSpec | None = None
         with self._errors("opened"):
-            self._database = sqlite3.connect(path, timeout=0.0, isolation_level=None, check_same_thread=False)
+            self._database = sqlite3.connect(self._path, timeout=0.0, isolation_level=None, check_same_thread=False)
+        hold(self, self._database)
         try:
             with self._errors("opened"):
                 self._prepare()
+            self._file = _file_at(self._path)
         except BaseException:
-            self._database.close()
+            self.close()
             raise
 
     @property
     def spec(self) -> TaskSpec | None:
-        """The task's specification, once `describe` was told it."""
+        """The task's specification; None while the file is new."""
         return self._spec
 
     def describe(self, spec: TaskSpec) -> TaskSpec:
-        """Keeps the specification, so that trials can be checked without a server the next time; returns it."""
+        """Keeps the specification for the next time; returns it."""
         with self._writing("written") as database:
             database.execute("DELETE FROM about")
             database.execute("INSERT INTO about VALUES (?, ?)", (self._task, pack(spec.to_dict())))
@@ -97,15 +104,15 @@ class OutboxFile:
 
     def pending(self) -> int:
         """How many trials are still to be sent."""
-        with self._lock, self._errors("read"):
-            return int(self._database.execute("SELECT count(*) FROM trial WHERE error IS NULL").fetchone()[0])
+        with self._reading() as database:
+            return int(database.execute("SELECT count(*) FROM trial WHERE error IS NULL").fetchone()[0])
 
-    def next(self, most: int) -> list[tuple[int, dict[str, Any]]]:
-        """The first that are to be sent: number and trial as a message map."""
+    def next(self, most: int) -> list[tuple[int, dict[str, Any] | None]]:
+        """The first that are to be sent: number, and trial as a message map; None for one that is damaged."""
         query = "SELECT number, body, digest FROM trial WHERE error IS NULL ORDER BY number LIMIT ?"
-        with self._lock, self._errors("read"):
-            rows = self._database.execute(query, (most,)).fetchall()
-        return [(number, self._trial(number, body, digest)) for number, body, digest in rows]
+        with self._reading() as database:
+            rows = database.execute(query, (most,)).fetchall()
+        return [(number, _trial(body, digest)) for number, body, digest in rows]
 
     def delivered(self, numbers: Sequence[int]) -> None:
         """Forgets trials that the server has."""
@@ -120,20 +127,29 @@ class OutboxFile:
     def refused(self) -> list[Refused]:
         """What was put aside."""
         query = "SELECT number, body, digest, error FROM trial WHERE error IS NOT NULL ORDER BY number"
-        with self._lock, self._errors("read"):
-            rows = self._database.execute(query).fetchall()
-        trials = [(number, self._trial(number, body, digest), error) for number, body, digest, error in rows]
-        return [Refused(number, UUID(bytes=trial["id"]), error, trial) for number, trial, error in trials]
+        with self._reading() as database:
+            rows = database.execute(query).fetchall()
+        found = [(number, _trial(body, digest) or {}, error) for number, body, digest, error in rows]
+        return [Refused(number, UUID(bytes=one["id"]) if one else None, error, one) for number, one, error in found]
+
+    def discard(self, numbers: Sequence[int]) -> None:
+        """Forgets trials that were put aside, and no others."""
+        with self._writing("written") as database:
+            query = "DELETE FROM trial WHERE number = ? AND error IS NOT NULL"
+            database.executemany(query, [(number,) for number in numbers])
 
     def close(self) -> None:
-        """Frees the file."""
+        """Frees the file; in a forked child it does nothing, for SQLite would take the parent's journal away."""
+        if is_forked():
+            return
         with self._lock:
+            self._closed = True
             self._database.close()
+        release(self)
 
     def _prepare(self) -> None:
         execute = self._database.execute
         execute("PRAGMA locking_mode = EXCLUSIVE")
-        execute("PRAGMA journal_mode = WAL")
         execute("PRAGMA synchronous = FULL")
         execute("BEGIN IMMEDIATE")  # takes the lock, and keeps it in this mode
         kind, version = (execute(f"PRAGMA {name}").fetchone()[0] for name in ("application_id", "user_version"))
@@ -151,19 +167,25 @@ class OutboxFile:
                 raise Conflict(f"the outbox {self._path} is one of task {about[0]!r}, not {self._task!r}")
             self._spec = TaskSpec.from_dict(unpack(about[1]))
         execute("COMMIT")
+        execute("PRAGMA journal_mode = WAL")  # not before it is known to be ours: this changes the file
 
-    def _trial(self, number: int, body: bytes, digest: bytes) -> dict[str, Any]:
-        try:
-            intact = _digest(body) == digest
-        except TypeError:
-            intact = False
-        if not intact:
-            raise StorageError(f"trial {number} of the outbox {self._path} is damaged: it does not match its digest")
-        return unpack(body)
+    @contextmanager
+    def _reading(self) -> Iterator[sqlite3.Connection]:
+        check_not_forked()  # before the lock, which a thread of the parent may have held at the fork
+        with self._lock, self._errors("read"):
+            self._check_open()
+            yield self._database
 
     @contextmanager
     def _writing(self, what: str) -> Iterator[sqlite3.Connection]:
+        check_not_forked()
         with self._lock, self._errors(what):
+            self._check_open()
+            if _file_at(self._path) != self._file:  # what SQLite wrote now would be gone with this process
+                raise StorageError(
+                    f"the outbox {self._path} was moved, removed or replaced while it was open; put it back, "
+                    "or close this outbox and open another"
+                )
             self._database.execute("BEGIN IMMEDIATE")
             try:
                 yield self._database
@@ -173,13 +195,20 @@ class OutboxFile:
                     self._database.execute("ROLLBACK")
                 raise
 
+    def _check_open(self) -> None:
+        if self._closed:
+            raise Unavailable(f"the outbox {self._path} is closed; open it again")
+
     @contextmanager
     def _errors(self, what: str) -> Iterator[None]:
         try:
             yield
         except (sqlite3.Error, sqlite3.Warning) as error:
             if str(getattr(error, "sqlite_errorname", "")).startswith(_IN_USE):
-                raise StorageError(f"the outbox {self._path} is in use already; give each process its own") from error
+                raise StorageError(
+                    f"the outbox {self._path} is in use already, by this program or another; "
+                    "close it there, or choose another file"
+                ) from error
             raise StorageError(f"the outbox {self._path} cannot be {what}: {error}") from error
         except CrkrError:
             raise
@@ -187,5 +216,21 @@ class OutboxFile:
             raise StorageError(f"the outbox {self._path} holds what was never written ({error})") from error
 
 
+def _trial(body: object, digest: object) -> dict[str, Any] | None:
+    """What the row holds, where it is still what was written."""
+    if isinstance(body, bytes) and _digest(body) == digest:
+        return unpack(body)
+    return None
+
+
 def _digest(body: bytes) -> bytes:
     return blake2b(body, digest_size=16).digest()
+
+
+def _file_at(path: Path) -> tuple[int, int] | None:
+    """Which file that is; None where there is none."""
+    try:
+        found = os.stat(path)
+    except OSError:
+        return None
+    return found.st_dev, found.st_ino

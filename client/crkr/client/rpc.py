@@ -9,7 +9,7 @@ from typing import Any, Final, final
 from uuid import UUID
 
 from crkr.client.transport import Transport
-from crkr.protocol import CrkrError, Internal, Invalid, array_from_wire, pack, unpack
+from crkr.protocol import CrkrError, Internal, Invalid, array_from_wire, id_from_wire, pack, rpc_key, unpack
 
 __all__ = ["Rpc", "plain", "positive", "reading"]
 
@@ -56,6 +56,12 @@ class Rpc:
         except CrkrError as error:
             error.details = plain(error.details)
             raise
+
+    def server_id(self, timeout_s: float) -> UUID:
+        """Which server answers; another id may come with other data, under the same names and versions."""
+        reply = self.call(rpc_key("info"), {}, timeout_s)
+        with reading("info"):
+            return id_from_wire(reply.get("server_id"), "server_id")
 
 
 @final

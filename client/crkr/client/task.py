@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
@@ -63,16 +64,7 @@ class Task:
     @property
     def spec(self) -> TaskSpec:
         """The specification in force, fetched once; `configure` renews it."""
-        if self._spec is None:
-            reply = self._rpc.call(rpc_key("tasks"), {})
-            with reading("tasks"):
-                specs = [entry["spec"] for entry in required(reply, "tasks")]
-                mine = [spec for spec in specs if spec.get("name") == self.name]
-                if not mine:
-                    names = ", ".join(sorted(str(spec.get("name")) for spec in specs)) or "none"
-                    raise UnknownTask(f"no task {self.name!r} at {self._rpc.transport.endpoint}; it has: {names}")
-                self._spec = TaskSpec.from_dict(mine[0])
-        return self._spec
+        return self._spec or self._look(None)[0]
 
     def predict(
         self,
@@ -97,7 +89,7 @@ class Task:
             NoSamples: Nothing was learned yet.
             NovelState: The task refuses states this far from its samples.
         """
-        spec = self.spec
+        spec, timeout_s = self._specified(timeout_s)
         dimensions = len(spec.state)
         if trial_ids is None and getattr(states, "shape", None) == (dimensions,):
             return self._predict_one(check_states(states, dimensions), explore, worker, timeout_s)
@@ -163,8 +155,9 @@ class Task:
             Conflict: An id is known with other content; nothing was stored.
             StorageError: The server cannot write; nothing was stored.
         """
+        spec, timeout_s = self._specified(timeout_s)
         trials = make_trials(
-            self.spec,
+            spec,
             answer,
             state=state,
             goal=goal,
@@ -198,7 +191,7 @@ class Task:
         self, after: int = 0, limit: int = 1000, *, timeout_s: float | None = None
     ) -> tuple[list[StoredTrial], int | None]:
         """A page of the log: trials with seq > `after`, and the seq to go on after (None at the end)."""
-        spec = self.spec
+        spec, timeout_s = self._specified(timeout_s)
         reply = self._rpc.call(task_key(self.name, "samples"), {"after": after, "limit": limit}, timeout_s)
         with reading("samples"):
             following = reply.get("next")
@@ -214,7 +207,8 @@ class Task:
 
     def explain(self, state: object, sample_id: UUID | None = None, *, timeout_s: float | None = None) -> Explanation:
         """The samples behind the answer for a state (d,), and where one sample stands."""
-        message: dict[str, Any] = {"state": finite_array(state, "state", (len(self.spec.state),))}
+        spec, timeout_s = self._specified(timeout_s)
+        message: dict[str, Any] = {"state": finite_array(state, "state", (len(spec.state),))}
         if sample_id is not None:
             message["sample_id"] = sample_id
         reply = self._rpc.call(task_key(self.name, "explain"), message, timeout_s)
@@ -295,17 +289,44 @@ class Task:
         except ModuleNotFoundError as error:
             wanted = "a local copy of a policy needs the extra 'mirror': pip install 'crkr[mirror]'"
             raise ModuleNotFoundError(wanted, name=error.name) from error
-        return Mirror(self, every_s=every_s, pause_s=pause_s, max_age_s=max_age_s, timeout_s=timeout_s)
+        return Mirror(self, self._rpc, every_s=every_s, pause_s=pause_s, max_age_s=max_age_s, timeout_s=timeout_s)
 
-    def outbox(self, path: Path | str) -> Outbox:
+    def outbox(self, path: Path | str, *, timeout_s: float | None = None) -> Outbox:
         """Reports that wait in a file until the server answers; see `Outbox`.
 
+        Args:
+            path: The file, made where it is not there.
+            timeout_s: Deadline of asking for the specification, for a new file [s].
+
         Raises:
-            StorageError: The file cannot be opened, is no outbox, or another process has it open.
+            StorageError: The file cannot be opened, is no outbox, or is open already.
             Conflict: It belongs to another task.
             Unavailable: The file is new and no server tells the task's specification.
         """
-        return Outbox(self._rpc, self.name, Path(path), lambda: self.spec)
+        return Outbox(self._rpc, self.name, Path(path), self._look, timeout_s)
+
+    def __repr__(self) -> str:
+        return f"Task({self.name!r})"
+
+    def _specified(self, timeout_s: float | None) -> tuple[TaskSpec, float | None]:
+        """The specification, and what is left of the time [s] where it had to be asked for."""
+        if self._spec is not None:
+            return self._spec, timeout_s
+        deadline = self._rpc.deadline(timeout_s)
+        spec = self._look(timeout_s)[0]
+        return spec, max(deadline - time.monotonic(), 0.001)
+
+    def _look(self, timeout_s: float | None) -> tuple[TaskSpec, bool]:
+        """The specification in force, and whether the task is archived."""
+        reply = self._rpc.call(rpc_key("tasks"), {}, timeout_s)
+        with reading("tasks"):
+            entries = {entry["spec"]["name"]: entry for entry in required(reply, "tasks")}
+            if self.name not in entries:
+                names = ", ".join(sorted(entries)) or "none"
+                raise UnknownTask(f"no task {self.name!r} at {self._rpc.transport.endpoint}; it has: {names}")
+            mine = entries[self.name]
+            self._spec = TaskSpec.from_dict(mine["spec"])
+            return self._spec, mine.get("archived") is True
 
     def _read(self, verb: str, message: Mapping[str, Any], timeout_s: float | None) -> dict[str, Any]:
         reply = self._rpc.call(task_key(self.name, verb), message, timeout_s)

@@ -128,50 +128,6 @@ def test_the_loop_goes_on_and_every_call_ends_by_its_deadline_while_the_server_s
     run(program())
 
 
-def test_who_is_cancelled_stops_waiting_and_the_client_goes_on(start_server: Callable[..., Any]) -> None:
-    server = start_server()
-
-    async def program() -> None:
-        async with AsyncClient(server.endpoint, timeout_s=PATIENCE_S, in_flight=2) as client:
-            task = await client.create_task(specification())
-            await practise(task)
-            server.process.send_signal(signal.SIGSTOP)
-            try:
-                call = asyncio.create_task(task.predict([0.5, 0.5], timeout_s=1.5))
-                await asyncio.wait([call], timeout=0.2)
-                call.cancel()
-                with pytest.raises(asyncio.CancelledError):
-                    await call
-            finally:
-                server.process.send_signal(signal.SIGCONT)
-            for answer in await asyncio.gather(*[task.predict([0.5, 0.5]) for _ in range(20)]):
-                assert answer.active == 30
-
-    run(program())
-
-
-def test_closing_ends_calls_in_progress_and_later_ones(start_server: Callable[..., Any]) -> None:
-    server = start_server()
-
-    async def program() -> None:
-        client = AsyncClient(server.endpoint, timeout_s=PATIENCE_S)
-        task = await client.create_task(specification())
-        server.process.send_signal(signal.SIGSTOP)
-        try:
-            call = asyncio.create_task(task.status())
-            await asyncio.wait([call], timeout=0.2)
-            await client.close()
-            with pytest.raises(Unavailable):
-                await call
-        finally:
-            server.process.send_signal(signal.SIGCONT)
-        with pytest.raises(Unavailable):
-            await task.status()
-        await client.close()
-
-    run(program())
-
-
 def test_publications_arrive_in_order_while_others_call(shared_endpoint: str) -> None:
     async def program() -> None:
         async with AsyncClient(shared_endpoint) as client:
@@ -197,14 +153,36 @@ def test_publications_arrive_in_order_while_others_call(shared_endpoint: str) ->
     run(program())
 
 
-def test_a_subscription_ends_with_its_client(shared_endpoint: str) -> None:
+def test_several_may_receive_at_once_and_each_publication_goes_to_one(shared_endpoint: str) -> None:
     async def program() -> None:
-        client = AsyncClient(shared_endpoint)
-        task = await client.create_task(specification())
-        notices = await task.subscribe(("model",))
-        await client.close()
-        assert [message async for message in notices] == []
-        await notices.close()
+        async with AsyncClient(shared_endpoint) as client:
+            task = await client.create_task(specification())
+            async with await task.subscribe(("model",)) as notices:
+                for _ in range(200):
+                    await practise(task, 1)
+                    if await notices.receive(0.05) is not None:
+                        break
+                while await notices.receive(0.2) is not None:
+                    pass
+                readers = [asyncio.create_task(notices.receive(PATIENCE_S)) for _ in range(4)]
+                for _ in readers:
+                    await practise(task, 1)
+                found = [message for message in await asyncio.gather(*readers) if message is not None]
+                assert len({message["version"] for _, message in found}) == 4
+
+    run(program())
+
+
+def test_it_waits_for_a_server(start_server: Callable[..., Any], free_port: int) -> None:
+    async def program() -> None:
+        async with AsyncClient(f"tcp/127.0.0.1:{free_port}") as client:
+            assert repr(client) == f"AsyncClient('tcp/127.0.0.1:{free_port}')"
+            assert repr(client.task("lob")) == "AsyncTask('lob')"
+            with pytest.raises(Unavailable):
+                await client.wait_until_ready(0.3)
+            waiting = asyncio.create_task(client.wait_until_ready(PATIENCE_S))
+            await asyncio.to_thread(start_server, port=free_port)
+            assert (await waiting)["protocol"] == 1
 
     run(program())
 

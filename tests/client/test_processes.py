@@ -108,6 +108,101 @@ def test_a_forked_child_ends_whatever_it_inherited(make_peer: MakePeer, inside: 
     assert (code, err) == (7, "")
 
 
+ROBOT = """
+import asyncio, os, signal, sys, tempfile, threading, time
+import numpy as np
+from crkr.client import AsyncClient, Client
+client = Client(sys.argv[1], timeout_s=30)
+task = client.create_task({"name": "toss-" + str(os.getpid()), "state": [{"name": "x", "low": 0, "high": 1}],
+                           "goal": [{"name": "g", "low": 0, "high": 1}]})
+task.report(state=[0.5], goal=[0.5], cost=0.5, success=True, wait=True)
+mirror, outbox = task.mirror(pause_s=0.001, every_s=0.001), task.outbox(tempfile.mkdtemp() + "/box")
+outbox.report(state=[0.5], goal=[0.5], cost=0.5, success=True)
+print("connected", flush=True)
+"""
+
+
+def robot(program: str, endpoint: str) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, "-c", ROBOT + program, endpoint], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+
+
+@pytest.mark.parametrize(
+    ("forgotten", "status"),
+    [
+        ("pass", 0),
+        ("client.close(); sys.exit(3)", 3),
+        ("mirror.close(); sys.exit(3)", 3),
+        ("outbox.close(); raise KeyError('lost')", 1),
+        ("threading.Thread(target=outbox.flush, args=(60,), daemon=True).start()", 0),
+        ("threading.Thread(target=mirror.wait_for, args=(10**9, 60), daemon=True).start()", 0),
+    ],
+)
+def test_a_forgotten_mirror_or_outbox_does_not_keep_the_process(
+    shared_endpoint: str, forgotten: str, status: int
+) -> None:
+    code, _, err = finish(robot(forgotten, shared_endpoint))
+    assert code == status, err
+    assert ("lost" in err) if status == 1 else not err
+
+
+FORGOTTEN_LOOP = """
+import asyncio, sys
+from crkr.client import AsyncClient
+
+async def main():
+    client = AsyncClient(sys.argv[1], timeout_s=60)
+    await client.info()
+    task = client.task("a")
+    notices = await task.subscribe()
+    waiting = [asyncio.create_task(each) for each in (task.refit(), notices.receive(60))]
+    await asyncio.wait(waiting, timeout=0.3)
+    print("leaving", flush=True)
+    {}
+
+asyncio.run(main())
+"""
+
+
+@pytest.mark.parametrize(
+    ("end", "status"), [("pass", 0), ("sys.exit(3)", 3), ("raise KeyError('lost')", 1), ("raise KeyboardInterrupt", -2)]
+)
+def test_a_loop_that_ends_with_calls_in_progress_does_not_keep_the_process(
+    make_peer: MakePeer, end: str, status: int
+) -> None:
+    peer = make_peer([{}, "hold"])
+    command = [sys.executable, "-c", FORGOTTEN_LOOP.format(end), peer.endpoint]
+    code, out, err = finish(subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True))
+    assert (code, out) == (status, "leaving\n"), err
+    assert err.count("Traceback") == (1 if status in (1, -2) else 0)
+
+
+def test_a_forked_child_is_refused_by_mirror_outbox_and_loop_and_the_parent_goes_on(shared_endpoint: str) -> None:
+    inside = """
+    calls = [lambda: mirror.predict([0.5]), mirror.refresh, lambda: mirror.wait_for(10**9, 60), outbox.refused,
+             lambda: outbox.flush(60), lambda: outbox.report(state=[0.5], goal=[0.5], cost=0.5, success=True),
+             lambda: task.outbox(tempfile.mkdtemp() + "/other"), lambda: asyncio.run(loop.info())]
+    for call in calls:
+        try:
+            call()
+        except Exception as error:
+            print(type(error).__name__, "spawn" in str(error), flush=True)
+    mirror.close(); outbox.close(); client.close()
+"""
+    after = """
+assert mirror.refresh(30) in (True, False) and mirror.predict([0.5]).active >= 1
+outbox.report(state=[0.5], goal=[0.5], cost=0.5, success=True)
+outbox.flush(30)
+assert outbox.pending == 0
+outbox.close(); mirror.close()
+"""
+    program = "loop = AsyncClient(sys.argv[1]); asyncio.run(loop.info())" + FORK.format(inside.strip())
+    code, out, err = finish(robot(program.replace("client.info()\nsys", f"{after}\nsys"), shared_endpoint))
+    assert (code, err) == (7, "")
+    assert out.splitlines() == ["connected", *["Unavailable True"] * 8]
+
+
 def test_importing_the_client_brings_neither_mathematics_nor_the_command() -> None:
     program = (
         "import sys; from crkr.client import Client; "

@@ -8,13 +8,17 @@ from __future__ import annotations
 
 import asyncio
 import functools
-from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+import weakref
+from collections.abc import AsyncIterator, Callable, Coroutine, Mapping, Sequence
+from concurrent.futures import Future
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Concatenate, Final, ParamSpec, TypeVar, final
 
-from crkr.client.client import Client
+from crkr.client.client import Client, TaskSummary
+from crkr.client.daemons import Daemons
+from crkr.client.forks import check_not_forked
 from crkr.client.rpc import positive
 from crkr.client.subscription import TOPICS, Subscription
 from crkr.client.task import Task
@@ -35,37 +39,50 @@ class _Calls:
         if not isinstance(most, int) or isinstance(most, bool) or most < 1:
             raise Invalid(f"in_flight must be a whole number of calls, at least 1; got {most!r}")
         self.most, self.timeout_s = most, timeout_s
-        self.pool = ThreadPoolExecutor(most, thread_name_prefix="crkr-async")
-        self._turns = asyncio.Semaphore(most)
         self.closed = False
+        self._daemons = Daemons("crkr-async")
+        # A semaphore belongs to the loop that it was first waited for in; a program may run several after each other.
+        self._turns: weakref.WeakKeyDictionary[asyncio.AbstractEventLoop, asyncio.Semaphore] = (
+            weakref.WeakKeyDictionary()
+        )
+        self._end = weakref.finalize(self, self._daemons.close)
 
     async def run(self, call: Callable[..., _T], *args: Any, timeout_s: float | None = None, **kwargs: Any) -> _T:
         """What the call returns; it is told the time that is left to it."""
+        check_not_forked()
         loop = asyncio.get_running_loop()
         deadline = loop.time() + (self.timeout_s if timeout_s is None else positive(timeout_s))
+        turns = self._turns.get(loop) or self._turns.setdefault(loop, asyncio.Semaphore(self.most))
         try:
             async with asyncio.timeout_at(deadline):
-                await self._turns.acquire()
+                await turns.acquire()
         except TimeoutError as error:
-            raise Unavailable(f"{self.most} calls were in progress until the deadline; raise in_flight") from error
+            raise Unavailable(
+                f"{self.most} calls were in progress until the deadline; raise in_flight or timeout_s, "
+                "or ask for many states in one call"
+            ) from error
         if self.closed:
-            self._turns.release()
-            raise Unavailable("the client is closed")
+            turns.release()
+            raise Unavailable(f"the client is closed: {call.__qualname__} was not called")
         left = max(deadline - loop.time(), 0.001)
-        future = loop.run_in_executor(self.pool, functools.partial(call, *args, **kwargs, timeout_s=left))
-        # Not before the thread is done, also where nobody waits for it any more.
-        future.add_done_callback(self._ended)
-        return await asyncio.shield(future)
+        future = self._daemons.submit(functools.partial(call, *args, **kwargs, timeout_s=left))
+        try:
+            return await asyncio.wrap_future(future)
+        finally:
+            if future.done():
+                turns.release()
+            else:  # cancelled here; the thread is not done yet
+                future.add_done_callback(functools.partial(_release, loop, turns))
 
     def close(self) -> None:
         """Takes no more calls."""
         self.closed = True
-        self.pool.shutdown(wait=False, cancel_futures=True)
+        self._end()
 
-    def _ended(self, future: asyncio.Future[Any]) -> None:
-        self._turns.release()
-        if not future.cancelled():
-            future.exception()  # one that was cancelled by its caller may have failed since: nobody is left to be told
+
+def _release(loop: asyncio.AbstractEventLoop, turns: asyncio.Semaphore, _: Future[Any]) -> None:
+    with suppress(RuntimeError):  # the loop is over, and nobody waits in it
+        loop.call_soon_threadsafe(turns.release)
 
 
 def _awaited(
@@ -101,6 +118,9 @@ class AsyncTask:
         """The task's name."""
         return self.blocking.name
 
+    def __repr__(self) -> str:
+        return f"AsyncTask({self.name!r})"
+
     predict = _awaited(Task.predict)
     report = _awaited(Task.report)
     report_trials = _awaited(Task.report_trials)
@@ -131,11 +151,14 @@ class AsyncTask:
 
 @final
 class AsyncSubscription:
-    """Publications as an asynchronous iterator of (topic, message); an asynchronous context manager."""
+    """Publications as an asynchronous iterator of (topic, message); an asynchronous context manager, for one loop."""
 
     def __init__(self, subscription: Subscription) -> None:
         self._subscription = subscription
-        self._pool = ThreadPoolExecutor(1, thread_name_prefix="crkr-async-subscription")
+        self._daemons = Daemons("crkr-async-subscription")
+        self._end = weakref.finalize(self, self._daemons.close)
+        self._reading = asyncio.Lock()
+        self._next: Future[tuple[str, dict[str, Any]] | None] | None = None  # what a thread is waiting for
 
     @property
     def dropped(self) -> int:
@@ -143,15 +166,39 @@ class AsyncSubscription:
         return self._subscription.dropped
 
     async def receive(self, timeout_s: float) -> tuple[str, dict[str, Any]] | None:
-        """The next publication, or None if there is none within `timeout_s` or ever again."""
-        if self._subscription.closed:
-            return self._subscription.receive(0.0)
-        return await asyncio.get_running_loop().run_in_executor(self._pool, self._subscription.receive, timeout_s)
+        """The next publication, or None if there is none within `timeout_s` or ever again.
+
+        Who is cancelled loses none: the next call has what came meanwhile.
+        """
+        check_not_forked()
+        try:
+            async with asyncio.timeout(timeout_s), self._reading:
+                while (message := self._at_hand()) is None and not self._over():
+                    if self._next is None:
+                        wait = functools.partial(self._subscription.receive, _LISTEN_S)
+                        self._next = self._daemons.submit(wait)
+                    await asyncio.wrap_future(self._next)
+                return message
+        except TimeoutError:
+            return self._at_hand()
 
     async def close(self) -> None:
         """Ends the subscription."""
         await asyncio.get_running_loop().run_in_executor(None, self._subscription.close)
-        self._pool.shutdown(wait=False)
+        self._end()
+
+    def _at_hand(self) -> tuple[str, dict[str, Any]] | None:
+        """What came, without waiting."""
+        if self._next is not None:
+            if not self._next.done():
+                return None
+            done, self._next = self._next, None
+            if not done.cancelled() and (message := done.result()) is not None:
+                return message
+        return self._subscription.receive(0.0)
+
+    def _over(self) -> bool:
+        return self._next is None and self._subscription.closed
 
     def __aiter__(self) -> AsyncIterator[tuple[str, dict[str, Any]]]:
         return self._messages()
@@ -161,7 +208,7 @@ class AsyncSubscription:
             message = await self.receive(_LISTEN_S)
             if message is not None:
                 yield message
-            elif self._subscription.closed:
+            elif self._over():
                 return
 
     async def __aenter__(self) -> AsyncSubscription:
@@ -175,7 +222,7 @@ class AsyncSubscription:
 
 @final
 class AsyncClient:
-    """`Client`, awaited; an asynchronous context manager, for one event loop.
+    """`Client`, awaited; an asynchronous context manager. It may serve one event loop after another.
 
     Attributes:
         blocking: The client beneath.
@@ -208,13 +255,17 @@ class AsyncClient:
         """Zenoh endpoint of the server."""
         return self.blocking.endpoint
 
-    def info(self, *, timeout_s: float | None = None) -> Awaitable[dict[str, Any]]:
+    async def info(self, *, timeout_s: float | None = None) -> dict[str, Any]:
         """As `Client.info`."""
-        return self._calls.run(self.blocking.info, timeout_s=timeout_s)
+        return await self._calls.run(self.blocking.info, timeout_s=timeout_s)
 
-    def tasks(self, *, timeout_s: float | None = None) -> Awaitable[list[Any]]:
+    async def wait_until_ready(self, patience_s: float) -> dict[str, Any]:
+        """As `Client.wait_until_ready`."""
+        return await self._calls.run(self.blocking.info, timeout_s=patience_s)
+
+    async def tasks(self, *, timeout_s: float | None = None) -> list[TaskSummary]:
         """As `Client.tasks`."""
-        return self._calls.run(self.blocking.tasks, timeout_s=timeout_s)
+        return await self._calls.run(self.blocking.tasks, timeout_s=timeout_s)
 
     async def create_task(self, spec: TaskSpec | Mapping[str, Any], *, timeout_s: float | None = None) -> AsyncTask:
         """As `Client.create_task`."""
@@ -223,6 +274,9 @@ class AsyncClient:
     def task(self, name: str) -> AsyncTask:
         """A task by its name; whether it exists shows at the first call (`UnknownTask`)."""
         return AsyncTask(self.blocking.task(name), self._calls)
+
+    def __repr__(self) -> str:
+        return f"AsyncClient({self.endpoint!r})"
 
     async def close(self) -> None:
         """Ends the connection; calls in progress end with `Unavailable`."""

@@ -1,0 +1,205 @@
+"""How awaited calls end: cancelled, closed, or left behind by their loop; and what goes on after them."""
+
+import asyncio
+import signal
+from collections.abc import Callable, Coroutine
+from typing import Any
+from uuid import uuid4
+
+import numpy as np
+import pytest
+
+from crkr.client import AsyncClient, AsyncTask
+from crkr.protocol import Unavailable
+
+PATIENCE_S = 20.0
+
+
+def specification() -> dict[str, Any]:
+    return {
+        "name": f"jump-{uuid4()}",
+        "state": [{"name": name, "low": 0, "high": 1} for name in "xy"],
+        "goal": [{"name": name, "low": -1, "high": 1} for name in "gh"],
+    }
+
+
+async def practise(task: AsyncTask, count: int = 30) -> None:
+    rng = np.random.default_rng(1)
+    states, goals = rng.uniform(0, 1, (count, 2)), rng.uniform(-1, 1, (count, 2))
+    receipt = await task.report(state=states, goal=goals, cost=rng.uniform(0, 1, count), success=True, wait=True)
+    assert receipt.accepted == count
+
+
+def run(program: Coroutine[Any, Any, None]) -> None:
+    """In a loop whose own complaints fail the test."""
+    complaints: list[dict[str, Any]] = []
+
+    async def watched() -> None:
+        asyncio.get_running_loop().set_exception_handler(lambda _, context: complaints.append(context))
+        await asyncio.wait_for(program, 3 * PATIENCE_S)
+
+    asyncio.run(watched(), debug=True)
+    assert not complaints
+
+
+def test_who_is_cancelled_stops_waiting_and_the_client_goes_on(start_server: Callable[..., Any]) -> None:
+    server = start_server()
+
+    async def program() -> None:
+        async with AsyncClient(server.endpoint, timeout_s=PATIENCE_S, in_flight=2) as client:
+            task = await client.create_task(specification())
+            await practise(task)
+            server.process.send_signal(signal.SIGSTOP)
+            try:
+                call = asyncio.create_task(task.predict([0.5, 0.5], timeout_s=1.5))
+                await asyncio.wait([call], timeout=0.2)
+                call.cancel()
+                with pytest.raises(asyncio.CancelledError):
+                    await call
+            finally:
+                server.process.send_signal(signal.SIGCONT)
+            for answer in await asyncio.gather(*[task.predict([0.5, 0.5]) for _ in range(20)]):
+                assert answer.active == 30
+
+    run(program())
+
+
+def test_closing_ends_calls_in_progress_and_later_ones(start_server: Callable[..., Any]) -> None:
+    server = start_server()
+
+    async def program() -> None:
+        client = AsyncClient(server.endpoint, timeout_s=PATIENCE_S)
+        task = await client.create_task(specification())
+        server.process.send_signal(signal.SIGSTOP)
+        try:
+            call = asyncio.create_task(task.status())
+            await asyncio.wait([call], timeout=0.2)
+            await client.close()
+            with pytest.raises(Unavailable):
+                await call
+        finally:
+            server.process.send_signal(signal.SIGCONT)
+        with pytest.raises(Unavailable):
+            await task.status()
+        await client.close()
+
+    run(program())
+
+
+def test_a_subscription_ends_with_its_client(shared_endpoint: str) -> None:
+    async def program() -> None:
+        client = AsyncClient(shared_endpoint)
+        task = await client.create_task(specification())
+        notices = await task.subscribe(("model",))
+        await client.close()
+        assert [message async for message in notices] == []
+        await notices.close()
+
+    run(program())
+
+
+def test_one_client_serves_loops_one_after_another(
+    start_server: Callable[..., Any], caplog: pytest.LogCaptureFixture, processes: Any
+) -> None:
+    """Also after a loop that ended while calls were in progress and others waited for their turn."""
+    server = start_server()
+    client = AsyncClient(server.endpoint, timeout_s=PATIENCE_S, in_flight=2)
+    name = specification()
+
+    async def ask() -> None:
+        task = await client.create_task(name)
+        await practise(task)
+        for answer in await asyncio.gather(*[task.predict([0.5, 0.5]) for _ in range(20)]):
+            assert answer.active == 30
+
+    async def leave() -> None:
+        calls = [asyncio.create_task(client.info(timeout_s=1.0)) for _ in range(5)]
+        await asyncio.wait(calls, timeout=0.2)
+
+    run(ask())
+    server.process.send_signal(signal.SIGSTOP)
+    try:
+        run(leave())
+        processes.wait_until(lambda: client._calls._daemons._free == 2)
+    finally:
+        server.process.send_signal(signal.SIGCONT)
+    name = specification()
+    run(ask())
+    run(client.close())
+    assert not [record for record in caplog.records if record.levelname in ("WARNING", "ERROR")]
+
+
+def test_a_receive_that_is_cancelled_loses_no_publication(shared_endpoint: str) -> None:
+    async def program() -> None:
+        async with AsyncClient(shared_endpoint) as client:
+            task = await client.create_task(specification())
+            async with await task.subscribe(("model",)) as notices:
+                for _ in range(200):  # until the router knows of the subscription
+                    await practise(task, 1)
+                    if await notices.receive(0.05) is not None:
+                        break
+                for _ in range(3):
+                    while await notices.receive(0.2) is not None:
+                        pass
+                    with pytest.raises(TimeoutError):
+                        await asyncio.wait_for(notices.receive(PATIENCE_S), 0.05)
+                    await practise(task, 1)
+                    last = (await task.status())["model_version"]
+                    message = await notices.receive(PATIENCE_S)
+                    assert message is not None
+                    assert message[1]["version"] == last
+
+    run(program())
+
+
+def test_closing_at_once_ends_calls_by_an_error_and_cancels_nobody(shared_endpoint: str) -> None:
+    async def program() -> None:
+        for _ in range(30):
+            client = AsyncClient(shared_endpoint, in_flight=3)
+            calls = [asyncio.create_task(client.info()) for _ in range(6)]
+            await asyncio.wait(calls, timeout=0.0)
+            await asyncio.gather(client.close(), client.close())
+            for outcome in await asyncio.gather(*calls, return_exceptions=True):
+                assert isinstance(outcome, dict | Unavailable), outcome
+
+    run(program())
+
+
+def test_many_cancellations_leave_every_turn_free(shared_endpoint: str) -> None:
+    async def program() -> None:
+        rng = np.random.default_rng(3)
+        async with AsyncClient(shared_endpoint, in_flight=4) as client:
+            task = await client.create_task(specification())
+            await practise(task)
+            for _ in range(20):
+                calls = [asyncio.create_task(task.predict([0.5, 0.5])) for _ in range(50)]
+                await asyncio.wait(calls, timeout=rng.uniform(0.0, 0.01))
+                for number in rng.permutation(50):
+                    calls[number].cancel()
+                for outcome in await asyncio.gather(*calls, return_exceptions=True):
+                    assert not isinstance(outcome, Exception), outcome
+            for answer in await asyncio.gather(*[task.predict([0.5, 0.5]) for _ in range(50)]):
+                assert answer.active == 30
+            [turns] = client._calls._turns.values()
+            assert turns._value == 4
+            assert client._calls._daemons._count <= 4
+
+    run(program())
+
+
+def test_an_error_of_the_program_passes_through(shared_endpoint: str) -> None:
+    async def program() -> None:
+        calls = []
+
+        async def fail() -> None:
+            async with AsyncClient(shared_endpoint) as client:
+                task = await client.create_task(specification())
+                async with await task.subscribe():
+                    calls.append(asyncio.create_task(task.status()))
+                    raise ZeroDivisionError
+
+        with pytest.raises(ZeroDivisionError):
+            await fail()
+        assert isinstance((await asyncio.gather(*calls, return_exceptions=True))[0], dict | Unavailable)
+
+    run(program())

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
+from uuid import UUID
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from crkr.learner import Kernel, Regression
+from crkr.learner import Kernel, Learner, Regression
 from crkr.learner.kernel_matrix import KernelMatrix
-from crkr.protocol import Array
+from crkr.protocol import Array, TaskSpec, Trial
 
 
 def states(seed: int, count: int, d: int) -> Array:
@@ -84,3 +86,32 @@ def test_a_matrix_that_does_not_factor_is_asked_for_again() -> None:
     kept = Regression.fit(kernel, Z, Y, noise, matrix=partial(matrix.of, rows))
     assert kept.floor > 1e-300
     assert kept.L.tobytes() == Regression.fit(kernel, Z, Y, noise).L.tobytes()
+
+
+def test_a_learner_that_exchanged_samples_one_by_one_has_the_model_of_one_that_learned_all_at_once(
+    make_spec: Callable[..., TaskSpec], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rng, made, whole = np.random.default_rng(3), [], Kernel.matrix
+
+    def counted(self: Kernel, A: Array, B: Array, out: Array | None = None) -> Array:
+        made.append(len(A))
+        return whole(self, A, B, out)
+
+    monkeypatch.setattr(Kernel, "matrix", counted)
+    spec = make_spec(3, 2, budget=150)
+    states, goals, costs = rng.uniform(-2, 2, (400, 3)), rng.uniform(-1, 1, (400, 2)), rng.uniform(size=400)
+    ids = [UUID(bytes=rng.bytes(16)) for _ in range(400)]
+    trials = [Trial(*values, True) for values in zip(ids, states, goals, costs.tolist(), strict=True)]
+    steady, quick = Learner(spec), Learner(spec)
+    for seq, trial in enumerate(trials, 2):
+        steady.apply_trials([seq], [trial])
+    assert np.median(made[150:]) == 1
+    made.clear()
+    with quick.bulk():
+        quick.apply_trials(range(2, 402), trials)
+    assert made == [150]
+    ours, theirs = steady.model.regression, quick.model.regression
+    assert ours is not None
+    assert theirs is not None
+    for name in ("Z", "noise", "L", "W"):
+        assert getattr(ours, name).tobytes() == getattr(theirs, name).tobytes()

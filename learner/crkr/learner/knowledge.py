@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import partial
 from typing import Any, final
 from uuid import UUID
 
@@ -13,6 +14,7 @@ from crkr.learner.anms_batch import Indices
 from crkr.learner.columns import TrialColumns
 from crkr.learner.explorer import Explorer, GaussianExplorer
 from crkr.learner.kernel import Kernel
+from crkr.learner.kernel_matrix import KernelMatrix
 from crkr.learner.model import Model
 from crkr.learner.outcome_learning import OutcomeLearning
 from crkr.learner.parameters import Parameters
@@ -60,6 +62,7 @@ class Knowledge:
         self._parameters = Parameters.create(spec, self._kernel, np.zeros(len(spec.goal)))
         self._guided = OutcomeLearning(spec, self.store) if guided else None
         self._gaussian = GaussianExplorer.of(spec)
+        self._matrix = KernelMatrix()
         self.model = self._fitted(None)
 
     def apply_trials(self, seqs: Sequence[int], trials: Sequence[Trial]) -> None:
@@ -249,6 +252,7 @@ class Knowledge:
         self._names.update(zip(new, self.store.ids(np.array(new, dtype=np.int64)), strict=True))
         self._names = {row: self._names[row] for row in rows}
         samples = (self.store.states[self._rows], self.store.goals[self._rows], self.store.costs[self._rows])
+        matrix = partial(self._matrix.of, self._rows)
         return Model.create(
-            self.version, self._parameters, list(self._names.values()), *samples, previous, self._explorer
+            self.version, self._parameters, list(self._names.values()), *samples, previous, self._explorer, matrix
         )

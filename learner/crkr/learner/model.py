@@ -12,7 +12,7 @@ import numpy as np
 
 from crkr.learner.explorer import Explorer, GaussianExplorer
 from crkr.learner.parameters import Parameters
-from crkr.learner.regression import Regression
+from crkr.learner.regression import KernelMaker, Regression
 from crkr.protocol import Array, Invalid, NoSamples, NovelState, Prediction, check_states, id_from_wire
 from crkr.protocol.checks import finite_array
 from crkr.protocol.codec import array_from_wire
@@ -56,10 +56,12 @@ class Model:
         costs: Array,
         previous: Model | None = None,
         explorer: Explorer | None = None,
+        matrix: KernelMaker | None = None,
     ) -> Model:
         """Fits the regression to these samples, O(m^3); `previous` may save most of it where samples were only added.
 
-        The arrays become read-only. Without an explorer the model explores as the paper does.
+        The arrays become read-only. Without an explorer the model explores as the paper does. For `matrix` see
+        `Regression.fit`.
         """
         for array in (states, goals, costs):
             array.setflags(write=False)
@@ -67,8 +69,8 @@ class Model:
         if len(costs):
             kernel = parameters.kernel
             scaled = (goals - parameters.prior) / parameters.scales
-            earlier = previous.regression if previous is not None else None
-            regression = Regression.fit(kernel, kernel.standardise(states), scaled, parameters.noise(costs), earlier)
+            earlier, noise = previous.regression if previous is not None else None, parameters.noise(costs)
+            regression = Regression.fit(kernel, kernel.standardise(states), scaled, noise, earlier, matrix)
         explorer = explorer or GaussianExplorer(parameters.seed, parameters.low, parameters.high)
         return cls(version, parameters, tuple(ids), states, goals, costs, regression, explorer)
 
@@ -187,7 +189,7 @@ def _checked_ids(given: Sequence[UUID | bytes] | UUID | bytes | None, count: int
         return []
     listed = [given] if isinstance(given, UUID | bytes) else list(given)
     ids = [id_from_wire(value, "trial_ids") for value in listed]
-    if len(ids) != count or len(set(ids)) != count:
+    if len(ids) != count or len({one.int for one in ids}) != count:  # a UUID's own hash takes twice as long
         raise Invalid(f"trial_ids must be {count} different ids, one a state; got {len(ids)}")
     return ids
 

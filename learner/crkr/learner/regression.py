@@ -24,7 +24,10 @@ from scipy.linalg import blas, lapack
 from crkr.learner.kernel import Kernel
 from crkr.protocol import Array
 
-__all__ = ["Regression"]
+__all__ = ["KernelMaker", "Regression"]
+
+KernelMaker = Callable[[Kernel, Array], Array]
+"""Gives the kernel matrix of standardised states (m, d), symmetric, in C order and the caller's to overwrite."""
 
 _log = logging.getLogger(__name__)
 
@@ -64,7 +67,7 @@ class Regression:
         Y: Array,
         noise: Array,
         previous: Regression | None = None,
-        matrix: Callable[[Kernel, Array], Array] | None = None,
+        matrix: KernelMaker | None = None,
     ) -> Regression:
         """Factors once, O(m^3), or O(m^2 (m - n)) where `previous` holds the first n of these samples.
 
@@ -74,8 +77,7 @@ class Regression:
             Y: (m, p) scaled goals minus their prior mean.
             noise: (m,) noise variances, > 0.
             previous: An earlier regression whose factor is extended if its samples lead these.
-            matrix: Gives the kernel matrix (m, m) of Z, symmetric, in C order and to be overwritten, for less than it
-                costs to make; it may be asked more than once.
+            matrix: Gives the kernel matrix of Z for less than it costs to make; it may be asked more than once.
         """
         L, floor = _extended(kernel, Z, noise, previous) or _factor(kernel, Z, noise, matrix)
         W, _ = lapack.dpotrs(L, Y, lower=1)
@@ -112,9 +114,7 @@ class Regression:
         return np.asarray(weights)
 
 
-def _factor(
-    kernel: Kernel, Z: Array, noise: Array, matrix: Callable[[Kernel, Array], Array] | None
-) -> tuple[Array, float]:
+def _factor(kernel: Kernel, Z: Array, noise: Array, matrix: KernelMaker | None) -> tuple[Array, float]:
     """Lower factor of K + diag(noise), and the noise floor it took: ten times more after every failed pivot.
 
     K is factored in place and made anew for another attempt, which is rare: a copy kept at hand costs every model more

@@ -6,7 +6,7 @@ import msgpack
 import pytest
 import zenoh
 
-from crkr.protocol import task_key
+from crkr.protocol import CrkrError, task_key
 from crkr.server.intake import Intake
 from crkr.server.lane import busy
 from crkr.server.latency import Latencies
@@ -70,3 +70,16 @@ def test_telling_what_was_asked_wrongly_does_not_hold_up_predictions(
             codes.append(msgpack.unpackb(told.err.payload.to_bytes())["code"])
         assert codes == ["UNSUPPORTED", "UNSUPPORTED", "INVALID"]
         refuser.close(1.0)
+
+
+def test_who_adds_more_than_can_be_told_is_slowed_to_that() -> None:
+    told: list[CrkrError] = []
+    refuser = Refuser()
+    refuser.start()
+    error, most = busy("explain"), 0
+    for _ in range(12_000):
+        refuser.add(told.append, error)
+        most = max(most, len(refuser._waiting))
+    assert 4096 <= most < 6000
+    refuser.close(10.0)
+    assert len(told) == 12_000

@@ -22,6 +22,8 @@ logger = logging.getLogger(__name__)
 _PAUSE_S: Final = 0.004  # between those told together
 _TOGETHER: Final = 4  # at least
 _PAUSES: Final = 80  # in which all are told who wait: a client that waits for BUSY hears it within its first attempt
+_MANY: Final = 4096  # that wait, from which on who adds is slowed: its queries wait in their connections then
+_SLOWED_S: Final = 0.0001
 _Tell = Callable[[CrkrError], None]
 
 
@@ -47,12 +49,15 @@ class Refuser:
     def add(self, tell: _Tell, error: CrkrError) -> None:
         """Calls `tell` with this error before long; at once where the thread may have ended."""
         with self._changed:
-            if not self._closing.is_set():
+            queued = not self._closing.is_set()
+            if queued:
                 self._waiting.append((tell, error))
                 self._most = max(self._most, len(self._waiting))
                 self._changed.notify()
-                return
-        tell(error)
+        if not queued:
+            tell(error)
+        elif len(self._waiting) > _MANY:
+            self._closing.wait(_SLOWED_S)
 
     def close(self, patience_s: float) -> None:
         """Answers all that wait, for `patience_s` at most, and ends."""

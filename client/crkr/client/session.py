@@ -19,6 +19,7 @@ __all__ = ["Guest", "NotConnected", "Session"]
 
 _logger = logging.getLogger(__name__)
 _OPEN_S: Final = 1.0
+_HANDSHAKE_S: Final = 0.5
 
 
 class NotConnected(Exception):
@@ -51,6 +52,7 @@ class Session:
         self._finalizer: weakref.finalize[[zenoh.Session, WeakSet[Guest]], Session] | None = None
         self._closed = threading.Event()
         self._guests: WeakSet[Guest] = WeakSet()
+        self._in_vain = False
 
     def open(self, deadline: float) -> zenoh.Session:
         """The open session.
@@ -60,7 +62,8 @@ class Session:
 
         Raises:
             NotConnected: Nobody answers at the endpoint yet.
-            Unavailable: The client was closed, or belongs to another process.
+            Unavailable: The client was closed, belongs to another process, or does not agree with the server about
+                certificates.
         """
         self._check()
         session = self._session
@@ -100,15 +103,29 @@ class Session:
             release(self)
 
     def _connect(self, deadline: float) -> zenoh.Session:
+        if self._in_vain:
+            self._check_certificates(0.5 * (deadline - time.monotonic()))
         patience = min(_OPEN_S, max(0.001, deadline - time.monotonic()))
         try:
             session = zenoh.open(self.connection.zenoh(patience))
         except zenoh.ZError as error:
+            self._in_vain = True
             raise NotConnected(f"cannot connect: {brief(error)}") from error
         self._finalizer = weakref.finalize(self, _close, session, self._guests)
         hold(self, session)
         _logger.debug("connected to %s", self.connection.endpoint)
         return session
+
+    def _check_certificates(self, patience_s: float) -> None:
+        """Ends the waiting where another attempt cannot help: Zenoh would try until its time is over."""
+        if not self.connection.endpoint.startswith("tls/") or patience_s <= 0.0:
+            return
+        from crkr.client.handshake import refusal  # few need it
+
+        found = refusal(self.connection.endpoint, self.connection.zenoh(1.0), min(_HANDSHAKE_S, patience_s))
+        if found is not None:
+            endpoint = self.connection.endpoint
+            raise Unavailable(f"no connection to {endpoint}: {found}", details={"endpoint": endpoint, "refusal": found})
 
     def _check(self) -> None:
         if self._closed.is_set():

@@ -8,6 +8,7 @@ import shutil
 import statistics
 import tempfile
 import time
+from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any
@@ -15,7 +16,10 @@ from typing import Annotated, Any
 import typer
 
 from crkr.client import Client
+from crkr.client.allowed import allowed
+from crkr.client.config import Connection
 from crkr.client.console import print_json, print_table
+from crkr.client.handshake import certificate_end, refusal
 from crkr.client.options import Connect, Json, Timeout, ZenohConfig
 from crkr.protocol import PROTOCOL_VERSION, CrkrError, Invalid, Unavailable
 
@@ -23,6 +27,8 @@ __all__ = ["doctor"]
 
 _ROUND_TRIPS = 50
 _LITTLE_BYTES = 1 << 30
+_HANDSHAKE_S = 2.0
+_RENEW_DAYS = 14
 _Check = tuple[str, bool, str]
 
 
@@ -60,29 +66,60 @@ def _versions() -> _Check:
 def _server(connect: str | None, timeout_s: float, zenoh_config: Path | None) -> list[_Check]:
     try:
         with Client(connect, timeout_s=timeout_s, zenoh_config=zenoh_config) as client:
-            return [("endpoint", True, client.endpoint), *_conversation(client)]
+            return [("endpoint", True, client.endpoint), *_conversation(client, zenoh_config)]
     except Invalid as error:
         return [("endpoint", False, error.message)]
 
 
-def _conversation(client: Client) -> list[_Check]:
+def _conversation(client: Client, zenoh_config: Path | None) -> list[_Check]:
+    connection = Connection(client.endpoint, zenoh_config)
     try:
         info = client.info()
         trips = [_seconds(client.info) for _ in range(_ROUND_TRIPS)]
     except CrkrError as error:
-        return [("reachable", False, _trouble(error))]
-    return [("reachable", True, f"server {info.get('version')}, id {info.get('server_id')}"), *_answers(info, trips)]
+        return [("reachable", False, _trouble(error, connection))]
+    return [
+        ("reachable", True, f"server {info.get('version')}, id {info.get('server_id')}"),
+        *_certificate(connection),
+        *_answers(info, trips),
+        *_access(client, info),
+    ]
 
 
-def _trouble(error: CrkrError) -> str:
+def _trouble(error: CrkrError, connection: Connection) -> str:
     """All that is known of a silence, which the other commands send their readers here for."""
     tried = error.details
     if not isinstance(error, Unavailable) or "reason" not in tried:
         return error.message
-    return (
-        f"no answer from {tried['endpoint']} in {tried['tried_s']:.1f} s "
-        f"({tried['reason']}); is a server running there? start one: crkr server"
-    )
+    advice = "is a server running there? start one: crkr server"
+    if tried["reason"].startswith("connected"):
+        advice = "does the server's access control know this client, or is the server overloaded?"
+    elif found := refusal(connection.endpoint, connection.zenoh(_HANDSHAKE_S), _HANDSHAKE_S):
+        return f"no connection to {connection.endpoint}: {found}"
+    elif _certificate(connection):
+        advice = "the certificates are in order there: are user and password?"
+    elif connection.endpoint.startswith("tls/"):
+        advice = "is a server with TLS running there, and of the authority that --zenoh-config names?"
+    return f"no answer from {tried['endpoint']} in {tried['tried_s']:.1f} s ({tried['reason']}); {advice}"
+
+
+def _certificate(connection: Connection) -> list[_Check]:
+    end = certificate_end(connection.endpoint, connection.zenoh(_HANDSHAKE_S), _HANDSHAKE_S)
+    if end is None:
+        return []
+    left = (end - datetime.now(UTC)).days
+    advice = "" if left >= _RENEW_DAYS else f": {left} days are left, make new ones and restart the server"
+    return [("certificate", not advice, f"the server's is valid until {end:%Y-%m-%d}{advice}")]
+
+
+def _access(client: Client, info: dict[str, Any]) -> list[_Check]:
+    if info.get("protocol") != PROTOCOL_VERSION:
+        return []
+    tasks = info.get("tasks") or ["none"]
+    answers = allowed(client._rpc, tasks[0])
+    may = ", ".join(["look", *(work for work, answered in answers.items() if answered)])
+    denied = ", ".join(work for work, answered in answers.items() if not answered)
+    return [("access", True, f"may {may}" + (f"; the server's configuration denies: {denied}" if denied else ""))]
 
 
 def _answers(info: dict[str, Any], trips: list[float]) -> list[_Check]:

@@ -1,8 +1,12 @@
 """How awaited calls end: cancelled, closed, or left behind by their loop; and what goes on after them."""
 
 import asyncio
+import contextlib
+import gc
 import signal
+import threading
 from collections.abc import Callable, Coroutine
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 from uuid import uuid4
 
@@ -10,7 +14,7 @@ import numpy as np
 import pytest
 
 from crkr.client import AsyncClient, AsyncTask
-from crkr.protocol import Unavailable
+from crkr.protocol import NoSamples, Unavailable
 
 PATIENCE_S = 20.0
 
@@ -163,6 +167,35 @@ def test_closing_at_once_ends_calls_by_an_error_and_cancels_nobody(shared_endpoi
                 assert isinstance(outcome, dict | Unavailable), outcome
 
     run(program())
+
+
+def test_closing_does_not_wait_for_the_threads_of_the_loop(shared_endpoint: str) -> None:
+    async def program() -> None:
+        done = threading.Event()
+        asyncio.get_running_loop().set_default_executor(ThreadPoolExecutor(1))
+        async with AsyncClient(shared_endpoint) as client:
+            task = await client.create_task(specification())
+            async with await task.subscribe():
+                waiting = asyncio.create_task(asyncio.to_thread(done.wait, PATIENCE_S))
+        done.set()
+        assert await waiting
+
+    run(program())
+
+
+def test_a_forgotten_client_ends_its_threads(shared_endpoint: str, processes: Any) -> None:
+    before = set(threading.enumerate())
+
+    async def program() -> None:
+        client = AsyncClient(shared_endpoint)
+        task = await client.create_task(specification())
+        with contextlib.suppress(NoSamples):
+            await task.predict([0.5, 0.5])
+        assert set(threading.enumerate()) > before
+
+    run(program())
+    gc.collect()
+    processes.wait_until(lambda: set(threading.enumerate()) <= before)
 
 
 def test_many_cancellations_leave_every_turn_free(shared_endpoint: str) -> None:

@@ -147,6 +147,15 @@ def test_times_that_make_no_sense_are_refused(client: Client, name: str, value: 
         task.mirror(**{name: value})
 
 
+def test_a_copy_that_must_be_young_is_asked_about_often_enough(client: Client, processes: Any) -> None:
+    task = client.create_task(specification())
+    practise(task, 5, 3)
+    with task.mirror(every_s=1000.0, pause_s=1000.0, max_age_s=0.3) as mirror:
+        for _ in range(3):
+            confirmed = mirror._confirmed
+            processes.wait_until(lambda confirmed=confirmed: mirror._confirmed > confirmed)
+
+
 def test_a_closed_one_answers_no_more(client: Client) -> None:
     task = client.create_task(specification())
     practise(task, 5, 3)

@@ -1,6 +1,7 @@
 """A task over a real server: what the client adds to the bare protocol."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 from uuid import UUID, uuid4
 
@@ -8,7 +9,7 @@ import numpy as np
 import pytest
 
 from crkr.client import Client, Task
-from crkr.protocol import Conflict, Invalid, NoSamples, TaskSpec, UnknownTask, demonstration_id
+from crkr.protocol import Conflict, Invalid, NoSamples, TaskSpec, Unavailable, UnknownTask, demonstration_id
 
 THROW: dict[str, Any] = {
     "name": "throw",
@@ -139,3 +140,32 @@ def test_the_server_sees_a_worker_while_it_is_announced(task: Task) -> None:
             pass  # the pytest timeout is the deadline
     while [w["state"] for w in task.status()["workers"]] != ["left"]:
         pass
+
+
+@pytest.mark.parametrize("verb", ["predict", "report", "samples", "explain", "outbox"])
+def test_the_first_call_of_a_task_ends_by_its_own_deadline(
+    make_peer: Callable[..., Any], tmp_path: Path, verb: str
+) -> None:
+    """It asks for the specification too, which took the client's default before."""
+    arguments: dict[str, Any] = {
+        "predict": {"states": [0.0, 0.0]},
+        "report": {"state": [0.0, 0.0], "goal": [1.0], "cost": 0.0, "success": True},
+        "samples": {},
+        "explain": {"state": [0.0, 0.0]},
+        "outbox": {"path": tmp_path / "box"},
+    }
+    with Client(make_peer(["hold"]).endpoint, timeout_s=1000.0) as client:
+        with pytest.raises(Unavailable) as caught:
+            getattr(client.task("throw"), verb)(**arguments[verb], timeout_s=0.3)
+        assert caught.value.details["tried_s"] < 30.0
+
+
+def test_what_is_left_of_the_time_goes_to_the_call_itself(make_peer: Callable[..., Any], spec: dict[str, Any]) -> None:
+    peer = make_peer([{"tasks": [{"spec": TaskSpec.from_dict(spec).to_dict()}]}, "hold"])
+    with Client(peer.endpoint, timeout_s=1000.0) as client:
+        task = client.task(spec["name"])
+        assert repr(task) == f"Task({spec['name']!r})"
+        with pytest.raises(Unavailable) as caught:
+            task.predict([0.0, 0.0], timeout_s=0.4)
+        assert caught.value.details["key"].endswith("predict")
+        assert caught.value.details["tried_s"] < 30.0

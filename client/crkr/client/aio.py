@@ -80,6 +80,14 @@ class _Calls:
         self._end()
 
 
+async def _aside(call: Callable[[], None]) -> None:
+    """Calls it on a thread of its own: the loop's executor may be full of what ends only with it."""
+    daemons = Daemons("crkr-async-close")
+    future = daemons.submit(call)
+    daemons.close()
+    await asyncio.wrap_future(future)
+
+
 def _release(loop: asyncio.AbstractEventLoop, turns: asyncio.Semaphore, _: Future[Any]) -> None:
     with suppress(RuntimeError):  # the loop is over, and nobody waits in it
         loop.call_soon_threadsafe(turns.release)
@@ -184,7 +192,7 @@ class AsyncSubscription:
 
     async def close(self) -> None:
         """Ends the subscription."""
-        await asyncio.get_running_loop().run_in_executor(None, self._subscription.close)
+        await _aside(self._subscription.close)
         self._end()
 
     def _at_hand(self) -> tuple[str, dict[str, Any]] | None:
@@ -281,7 +289,7 @@ class AsyncClient:
     async def close(self) -> None:
         """Ends the connection; calls in progress end with `Unavailable`."""
         self._calls.close()
-        await asyncio.get_running_loop().run_in_executor(None, self.blocking.close)
+        await _aside(self.blocking.close)
 
     async def __aenter__(self) -> AsyncClient:
         return self

@@ -59,7 +59,7 @@ class Mirror:
             task: What is copied.
             rpc: What asks which server it is.
             every_s: Longest time between questions whether the copy is up to date [s]; a third of `max_age_s` at most.
-            pause_s: Shortest time between two copies [s].
+            pause_s: Shortest time between two copies [s]; a third of `max_age_s` at most.
             max_age_s: From which age predictions are refused [s]; None: they never are.
             timeout_s: Deadline of the first copy [s].
 
@@ -72,8 +72,9 @@ class Mirror:
             if value is not None and not 0.0 < value < float("inf"):
                 raise Invalid(f"{name} must be a positive number of seconds; got {value!r}", details={"field": name})
         self.name: Final = task.name
-        self._task, self._rpc, self._pause_s, self._max_age_s = task, rpc, pause_s, max_age_s
-        self._every_s = every_s if max_age_s is None else min(every_s, max_age_s / 3.0)
+        self._task, self._rpc, self._max_age_s = task, rpc, max_age_s
+        at_most = float("inf") if max_age_s is None else max_age_s / 3.0
+        self._every_s, self._pause_s = min(every_s, at_most), min(pause_s, at_most)
         self._changed = threading.Condition()
         self._closed = threading.Event()
         self._fault: CrkrError | None = None

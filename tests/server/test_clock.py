@@ -24,6 +24,7 @@ TELLING = {
     "server/crkr/server/workers.py",
     "server/crkr/server/reading.py",
     "client/crkr/client/commands/status.py",
+    "client/crkr/client/commands/doctor.py",  # a certificate's last day is a day
 }
 DAY, DECADE = 86_400, 315_360_000
 JUMPS = (DAY, -DAY, DECADE, -DECADE, 0)

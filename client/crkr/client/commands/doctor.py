@@ -113,13 +113,17 @@ def _certificate(connection: Connection) -> list[_Check]:
 
 
 def _access(client: Client, info: dict[str, Any]) -> list[_Check]:
-    if info.get("protocol") != PROTOCOL_VERSION:
+    session = client._rpc.transport.session.peek()
+    if info.get("protocol") != PROTOCOL_VERSION or session is None:
         return []
-    tasks = info.get("tasks") or ["none"]
-    answers = allowed(client._rpc, tasks[0])
-    may = ", ".join(["look", *(work for work, answered in answers.items() if answered)])
-    denied = ", ".join(work for work, answered in answers.items() if not answered)
-    return [("access", True, f"may {may}" + (f"; the server's configuration denies: {denied}" if denied else ""))]
+    answers = allowed(session, [*info.get("tasks", []), "none"][0])
+
+    def those(outcome: bool | None) -> str:
+        return ", ".join(work for work, answered in answers.items() if answered is outcome)
+
+    told = f"may {', '.join(filter(None, ['look', those(True)]))}"
+    told += f"; the server's configuration denies: {those(False)}" if those(False) else ""
+    return [("access", True, told + (f"; not answered in time: {those(None)}" if those(None) else ""))]
 
 
 def _answers(info: dict[str, Any], trips: list[float]) -> list[_Check]:

@@ -1,6 +1,9 @@
 """A long log is looked over row by row after the start: damage that no prediction rests on is found and told too."""
 
+import os
 import sqlite3
+import subprocess
+import sys
 import urllib.request
 from collections.abc import Callable
 from contextlib import closing, suppress
@@ -68,6 +71,11 @@ def test_a_row_that_is_not_as_it_was_stored_is_told_and_the_server_goes_on(
     status = processes.wait_until(lambda: (found := ask("task/reach/rpc/status")).get("damage") and found, server.log)
     assert "log position 4321 does not match its digest" in status["damage"]
     assert f"task reach: {status['damage']}" in server.log.read_text()
+    words = [sys.executable, "-m", "crkr.client", "status", "reach", "--connect", server.endpoint]
+    shown = subprocess.run(
+        words, capture_output=True, text=True, timeout=30.0, check=True, env={**os.environ, "COLUMNS": "300"}
+    )
+    assert "log position 4321 does not match its digest" in shown.stdout
     with urllib.request.urlopen(f"http://127.0.0.1:{free_port}/metrics", timeout=10) as page:
         assert 'crkr_task_damaged{task="reach"} 1.0' in page.read().decode()
     after = ask("task/reach/rpc/predict", {"states": [0.5, 0.0]})

@@ -63,6 +63,7 @@ def _show_task(answer: Mapping[str, Any]) -> None:
     rows = [row for name in known if name in answer for row in _rows(name, answer[name])]
     if "uptime" in answer:
         rows.append(("server up for", _duration(float(answer["uptime"]))))
+    rows += [(name, str(answer[name])) for name in ("fault", "damage") if answer.get(name)]
     print_table(("task", str(answer.get("task", ""))), rows)
     _show_verbs(answer.get("latency_us") or {}, answer.get("queues") or {})
     _show_workers(answer.get("workers") or [])

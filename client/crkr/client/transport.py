@@ -125,7 +125,9 @@ class Transport:
             return "the session was closed"
         if "empty and closed" not in str(error):
             return brief(error)
-        return "connected, but nobody serves this key" if session.info.routers_zid() else "not connected"
+        if not session.info.routers_zid():
+            return "not connected"
+        return "connected, but nobody serves this key, or the server's access control denies it to this client"
 
     def _unavailable(self, key: str, tried_s: float, attempts: int, reason: str) -> Unavailable:
         details = {
@@ -138,9 +140,10 @@ class Transport:
         if self.session.peek() is None:
             message = f"no server at {self.endpoint} within {tried_s:.1f} s; start one: crkr server"
             return Unavailable(message, details=details)
+        ask = "" if reason.startswith("connected") else "is the server running? "
         return Unavailable(
             f"no answer from {self.endpoint} to {key} in {tried_s:.1f} s and {attempts} attempts ({reason}); "
-            "is the server running? `crkr doctor` tells more",
+            f"{ask}`crkr doctor` tells more",
             details=details,
         )
 

@@ -1,0 +1,172 @@
+"""A `crkr watch` that measures itself; a process of its own.
+
+It follows a task as the command does, and draws into a recording or, as its own baseline, not at all. It ends when its
+standard input does, and then says what it measured as one JSON object.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import threading
+import time
+from array import array
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any, Final, final
+
+import numpy as np
+import typer
+
+from crkr.client import Client, Subscription
+from crkr.dashboard.command import LOOPBACK, PICTURES_S, STREAM_PORT
+from crkr.dashboard.feed import Feed
+from crkr.dashboard.ports import choose_port
+from crkr.dashboard.progress import EpochResult, Progress, Row
+from crkr.dashboard.telemetry import Telemetry
+from crkr.dashboard.view import View
+from crkr.dashboard.watching import follow
+
+__all__ = ["Meter", "Nothing", "growth", "main"]
+
+CLOSE_S: Final = 10.0
+LISTEN_S: Final = 0.2
+STATM: Final = Path("/proc/self/statm")
+
+
+@final
+class Nothing:
+    """A view that draws nothing: what is left is the following itself."""
+
+    def task(self, description: str) -> None:
+        """Nothing."""
+
+    def trials(self, rows: Sequence[Row], progress: Progress) -> None:
+        """Nothing."""
+
+    def picture(self, row: Row, telemetry: Telemetry) -> None:
+        """Nothing."""
+
+    def epoch(self, result: EpochResult, progress: Progress) -> None:
+        """Nothing."""
+
+    def status(self, status: Mapping[str, Any], progress: Progress, now: float) -> None:
+        """Nothing."""
+
+    def say(self, message: str, *, warning: bool = False) -> None:
+        """Nothing."""
+
+    def tick(self, now: float, progress: Progress) -> None:
+        """Nothing."""
+
+
+@final
+class Meter:
+    """A view around another one that notes when pictures were drawn, and how large the process is.
+
+    Args:
+        view: What to pass everything on to.
+        arrivals: Log position -> when what was published about it was received [monotonic s]; taken out when drawn.
+
+    Attributes:
+        lags: From there until it was handed over [s].
+        sizes: (time [monotonic s], resident bytes, trials) at every second, or nothing where that cannot be told.
+    """
+
+    def __init__(self, view: View, arrivals: dict[int, float]) -> None:
+        self._view = view
+        self._arrivals = arrivals
+        self._fresh: list[int] = []
+        self.lags = array("d")  # 8 bytes each: the memory is measured too
+        self.sizes: list[tuple[float, float, int]] = []
+        self.task = view.task
+        self.trials = view.trials
+        self.epoch = view.epoch
+        self.status = view.status
+        self.say = view.say
+
+    def picture(self, row: Row, telemetry: Telemetry) -> None:
+        """Passes it on; it is drawn with the next tick at the latest."""
+        self._view.picture(row, telemetry)
+        self._fresh.append(row.seq)
+
+    def tick(self, now: float, progress: Progress) -> None:
+        """Passes it on, and notes the time after it."""
+        self._view.tick(now, progress)
+        after = time.monotonic()
+        received = [self._arrivals.pop(seq, after) for seq in self._fresh]
+        self.lags.extend([after - moment for moment in received])
+        self._fresh.clear()
+        if STATM.exists() and (not self.sizes or after - self.sizes[-1][0] >= 1.0):
+            resident = int(STATM.read_text().split()[1]) * os.sysconf("SC_PAGESIZE")
+            self.sizes.append((after, resident, progress.trials))
+
+
+def main(endpoint: str, task: str, save: Path | None = None, memory_limit: str = "512MiB") -> None:
+    """Follows a task until standard input ends; with `save` it draws, into a recording that it also serves."""
+    ended = threading.Event()
+    with ExitStack() as stack:
+        client = stack.enter_context(Client(endpoint))
+        followed = client.task(task)
+        arrivals: dict[int, float] = {}
+        meter = Meter(_drawing(stack, task, save, memory_limit) if save else Nothing(), arrivals)
+        heard = stack.enter_context(followed.subscribe(("trial",)))
+        listening = threading.Thread(target=_listen, args=(heard, arrivals, ended), daemon=True)
+        waiting = threading.Thread(target=_wait_for_end, args=(ended.set,), daemon=True)
+        for thread in (listening, waiting):
+            thread.start()
+        feed = Feed(meter)
+        follow(client, followed, feed, PICTURES_S, lambda: not ended.is_set())
+        listening.join()
+    sys.stdout.write(json.dumps(_summary(meter, feed, save)) + "\n")
+
+
+def _drawing(stack: ExitStack, task: str, save: Path, memory_limit: str) -> View:
+    from crkr.dashboard.rerun_view import Recording, RerunDisplay
+
+    recording = Recording((LOOPBACK, choose_port(LOOPBACK, None, STREAM_PORT)), save, memory_limit)
+    stack.callback(recording.close, CLOSE_S)
+    return RerunDisplay(recording, task)
+
+
+def _listen(subscription: Subscription, arrivals: dict[int, float], ended: threading.Event) -> None:
+    """Notes when publications arrive, beside the display and not behind it."""
+    while not ended.is_set():
+        received = subscription.receive(LISTEN_S)
+        if received is not None and isinstance(seq := received[1].get("seq"), int):
+            arrivals[seq] = time.monotonic()
+
+
+def _wait_for_end(told: Callable[[], object]) -> None:
+    sys.stdout.write("ready\n")
+    sys.stdout.flush()
+    sys.stdin.read()
+    told()
+
+
+def _summary(meter: Meter, feed: Feed, save: Path | None) -> dict[str, Any]:
+    lag = 1e3 * np.percentile(meter.lags, [50, 99]) if meter.lags else [np.nan, np.nan]
+    more = growth(meter.sizes)
+    return {
+        "lag_p50_ms": float(lag[0]),
+        "lag_p99_ms": float(lag[1]),
+        "drawn": len(meter.lags),
+        "dropped": feed.dropped,
+        "bytes_a_second": more[0],
+        "bytes_a_trial": more[1],
+        "recording_bytes": save.stat().st_size if save else 0,
+    }
+
+
+def growth(sizes: Sequence[tuple[float, float, int]]) -> tuple[float, float]:
+    """Slopes of the resident bytes over time and over trials, of the last two thirds; nan where there are too few."""
+    late = np.array(sizes[len(sizes) // 3 :], dtype=np.float64)
+    if len(late) < 3 or np.ptp(late[:, 2]) == 0:
+        return float("nan"), float("nan")
+    return float(np.polyfit(late[:, 0], late[:, 1], 1)[0]), float(np.polyfit(late[:, 2], late[:, 1], 1)[0])
+
+
+if __name__ == "__main__":
+    typer.run(main)

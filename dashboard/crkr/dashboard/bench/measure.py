@@ -1,0 +1,167 @@
+"""What `crkr bench dashboard` measures, in two parts on one server.
+
+First real workers, in turns unwatched, followed by a program that draws nothing, and watched. Then a steady stream of
+trials, with what those workers published, to both programs at once.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, nullcontext
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from crkr.client import Client, Task
+from crkr.client.bench import workload
+from crkr.client.bench.figures import Figure
+from crkr.client.bench.processes import serving
+from crkr.dashboard.bench.children import Command, commanded, started
+from crkr.protocol import Unavailable, UnknownTask, pack
+
+__all__ = ["measure"]
+
+ROUNDS: Final = 3
+SPELL_S: Final = 2.5
+STREAM_S: Final = 15.0
+RATE: Final = 200  # trials a second
+WARM: Final = 150  # trials of the workers before anything is measured
+WARM_S: Final = 60.0
+LOOK_S: Final = 0.1
+CAPTURED: Final = 100
+FOLLOWER: Final = "crkr.dashboard.bench.follower"
+SOURCE: Final = "crkr.dashboard.bench.source"
+
+
+def measure(directory: Path, skill: str, workers: int) -> Iterator[Figure]:
+    """All figures, in turn.
+
+    Args:
+        directory: Empty; for everything that is written.
+        skill: What the workers try.
+        workers: How many.
+    """
+    with serving(directory / "data") as client:
+        yield from _beside_workers(client, directory, skill, workers)
+        yield from _stream(client, directory)
+
+
+def _beside_workers(client: Client, directory: Path, skill: str, workers: int) -> Iterator[Figure]:
+    name, endpoint = "bench-workers", client.endpoint
+    train = ["workers", skill, "--task", name, "-n", str(workers), "--trials", "1000000", "--connect", endpoint]
+    watch = ["watch", name, "--connect", endpoint, "--save", str(directory / "workers.rrd")]
+    conditions: dict[str, Callable[[], AbstractContextManager[Any]]] = {
+        "unwatched": nullcontext,
+        "followed": lambda: started(FOLLOWER, endpoint, name),
+        "watched": lambda: commanded(watch, "caught up"),
+    }
+    rates: dict[str, list[float]] = {condition: [] for condition in conditions}
+    with commanded(train) as training:
+        task = client.task(name)
+        _warm(task, training)
+        (directory / "messages").write_bytes(pack({"messages": _capture(task)}))
+        for turn in range(ROUNDS):
+            for place in range(len(conditions)):  # each is first, second and last once
+                condition = list(conditions)[(turn + place) % len(conditions)]
+                with conditions[condition]():
+                    rates[condition].append(_rate(task))
+    middle = {condition: float(np.median(found)) for condition, found in rates.items()}
+    behind = {f"{condition} /s": rate for condition, rate in middle.items()}
+    behind["unwatched, least /s"], behind["most /s"] = min(rates["unwatched"]), max(rates["unwatched"])
+    yield Figure(
+        f"{workers} workers' trials a second, watched / unwatched",
+        middle["watched"] / middle["unwatched"],
+        None,
+        True,
+        behind,
+    )
+    yield Figure("  the same, followed without drawing", middle["followed"] / middle["unwatched"], None, True, {})
+
+
+def _warm(task: Task, training: Command) -> None:
+    """Waits until the workers are at it."""
+    deadline = time.monotonic() + WARM_S
+    while time.monotonic() < deadline:
+        training.check()
+        try:
+            if task.status()["seq"] >= WARM:
+                return
+        except UnknownTask:  # it is theirs to create
+            pass
+        time.sleep(LOOK_S)
+    raise Unavailable(f"the workers did not get to {WARM} trials within {WARM_S:.0f} s")
+
+
+def _capture(task: Task) -> list[bytes]:
+    """What workers publish about the next trials, packed."""
+    found: list[bytes] = []
+    deadline = time.monotonic() + WARM_S
+    with task.subscribe(("trial",)) as subscription:
+        while len(found) < CAPTURED:
+            received = subscription.receive(max(0.0, deadline - time.monotonic()))
+            if received is None:
+                raise Unavailable(f"the workers published {len(found)} trials within {WARM_S:.0f} s, not {CAPTURED}")
+            found.append(pack(received[1]))
+    return found
+
+
+def _rate(task: Task) -> float:
+    """Trials of all kinds a second [1/s]."""
+    begin, before = time.monotonic(), task.status()["seq"]
+    time.sleep(SPELL_S)
+    end, after = time.monotonic(), task.status()["seq"]
+    return float((after - before) / (end - begin))
+
+
+def _stream(client: Client, directory: Path) -> Iterator[Figure]:
+    endpoint, file = client.endpoint, directory / "stream.rrd"
+    with started(SOURCE, endpoint, str(directory / "messages"), str(RATE)) as source:
+        with (
+            started(FOLLOWER, endpoint, workload.TASK, "--save", str(file)) as drawing,
+            started(FOLLOWER, endpoint, workload.TASK) as bare,
+        ):
+            time.sleep(STREAM_S)
+            drawn, followed = drawing.finish(), bare.finish()
+        sent = source.finish()
+    yield Figure(
+        "lag of a picture, received to drawn, p50 / followed without drawing",
+        drawn["lag_p50_ms"] / followed["lag_p50_ms"],
+        None,
+        False,
+        {"drawn ms": drawn["lag_p50_ms"], "followed ms": followed["lag_p50_ms"]},
+    )
+    yield Figure(
+        "  the same, p99",
+        drawn["lag_p99_ms"] / followed["lag_p99_ms"],
+        None,
+        False,
+        {
+            "drawn ms": drawn["lag_p99_ms"],
+            "followed ms": followed["lag_p99_ms"],
+            "trials /s": sent["published"] / sent["seconds"],
+            "pictures dropped": float(drawn["dropped"]),
+        },
+    )
+    message = sent["bytes"] / sent["published"]
+    recorded = drawn["recording_bytes"] / drawn["drawn"]
+    yield Figure(
+        "recording, bytes a trial / bytes published",
+        recorded / message,
+        None,
+        False,
+        {"recorded B": recorded, "published B": message},
+    )
+    yield Figure(
+        "memory, bytes more a trial / bytes published",
+        drawn["bytes_a_trial"] / message,
+        None,
+        False,
+        {
+            "drawing B": drawn["bytes_a_trial"],
+            "followed B": followed["bytes_a_trial"],
+            "drawing MB/min": 60e-6 * drawn["bytes_a_second"],
+            "followed MB/min": 60e-6 * followed["bytes_a_second"],
+        },
+    )

@@ -147,6 +147,25 @@ def test_a_forgotten_mirror_or_outbox_does_not_keep_the_process(
     assert ("lost" in err) if status == 1 else not err
 
 
+@pytest.mark.parametrize("before", ["", "client.close()", "mirror.refresh()"])
+def test_an_interpreter_ends_while_daemons_predict(shared_endpoint: str, before: str) -> None:
+    """Daemons end wherever they are, and in the C++ of scipy that would abort the process."""
+    program = f"""
+def predict():
+    while True:
+        mirror.predict([0.5])
+
+for _ in range(3):
+    threading.Thread(target=predict, daemon=True).start()
+for _ in range(1000):
+    mirror.predict([0.5])
+{before}
+"""
+    for process in [robot(program, shared_endpoint) for _ in range(4)]:
+        code, _, err = finish(process)
+        assert (code, err) == (0, "")
+
+
 FORGOTTEN_LOOP = """
 import asyncio, sys
 from crkr.client import AsyncClient

@@ -10,6 +10,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
+import weakref
 from collections.abc import Sequence
 from types import TracebackType
 from typing import TYPE_CHECKING, Final, final
@@ -19,6 +20,8 @@ import numpy as np
 
 from crkr.client.forks import check_not_forked, is_forked
 from crkr.client.rpc import Rpc, positive, reading
+from crkr.client.subscription import Subscription
+from crkr.client.transport import Transport
 from crkr.learner import Model
 from crkr.protocol import Conflict, CrkrError, Internal, Invalid, Prediction, Unavailable, check_states, random_ids
 
@@ -30,6 +33,7 @@ __all__ = ["Mirror"]
 _logger = logging.getLogger(__name__)
 _ATTEMPT_S: Final = 2.0  # to ask in the background
 _JOIN_S: Final = 0.2  # an attempt that nobody answers ends by itself
+_EXIT_S: Final = 1.0  # at the end of the interpreter, for predictions in progress
 
 
 @final
@@ -77,6 +81,8 @@ class Mirror:
         self._every_s, self._pause_s = min(every_s, at_most), min(pause_s, at_most)
         self._changed = threading.Condition()
         self._closed = threading.Event()
+        self._exiting = threading.Event()
+        self._inside: dict[int, None] = {}  # threads that are predicting
         self._fault: CrkrError | None = None
         self._refreshing = threading.Lock()
         # Before the first copy, or what changes between the two would go unnoticed for a while.
@@ -88,6 +94,8 @@ class Mirror:
             raise
         self._thread = threading.Thread(target=self._follow, name=f"crkr-mirror-{self.name}", daemon=True)
         self._thread.start()
+        ours = (self._exiting, self._closed, self._inside, self._notices, self._thread, rpc.transport)
+        self._exit = weakref.finalize(self, _exit, *ours)
 
     @property
     def model(self) -> Model:
@@ -120,13 +128,18 @@ class Mirror:
             NovelState: The task refuses states this far from its samples.
             Unavailable: The copy is older than `max_age_s`, or was closed.
         """
-        self._check()
-        model = self._model
-        if trial_ids is not None:
-            return model.predict(states, explore, trial_ids)
-        checked = check_states(states, len(model.parameters.kernel.centre))
-        ids = random_ids(1 if checked.ndim == 1 else len(checked))
-        return model.answer(checked, explore, [UUID(bytes=one) for one in ids])
+        me = threading.get_ident()
+        self._inside[me] = None
+        try:
+            self._check()
+            model = self._model
+            if trial_ids is not None:
+                return model.predict(states, explore, trial_ids)
+            checked = check_states(states, len(model.parameters.kernel.centre))
+            ids = random_ids(1 if checked.ndim == 1 else len(checked))
+            return model.answer(checked, explore, [UUID(bytes=one) for one in ids])
+        finally:
+            self._inside.pop(me, None)
 
     def refresh(self, timeout_s: float | None = None) -> bool:
         """Asks now; whether there was a newer model.
@@ -174,6 +187,7 @@ class Mirror:
         """Ends refreshing; idempotent. What was predicted stays valid."""
         if is_forked():
             return
+        self._exit.detach()
         self._closed.set()
         with self._changed:
             self._changed.notify_all()
@@ -199,6 +213,9 @@ class Mirror:
     def _check_open(self) -> None:
         check_not_forked()  # in the child nothing would refresh it
         if self._closed.is_set():
+            if self._exiting.is_set() and threading.current_thread() is not threading.main_thread():
+                self._inside.pop(threading.get_ident(), None)
+                threading.Event().wait()  # the interpreter ends, and this thread with it
             raise Unavailable(f"the local copy of task {self.name!r} was closed")
 
     def _check(self) -> None:
@@ -246,6 +263,30 @@ class Mirror:
                 "stays as it was; make a new mirror"
             )
         return model, server, asked
+
+
+def _exit(
+    exiting: threading.Event,
+    closed: threading.Event,
+    inside: dict[int, None],
+    notices: Subscription,
+    thread: threading.Thread,
+    transport: Transport,
+) -> None:
+    """Has all threads leave the library beneath before the interpreter ends.
+
+    It ends its daemons wherever they are; in the C++ of scipy, that aborts the process.
+    """
+    if is_forked():
+        return
+    exiting.set()
+    closed.set()
+    notices.close()
+    transport.close()  # or a question in progress would wait for its answer
+    until = time.monotonic() + _EXIT_S
+    thread.join(_EXIT_S)
+    while inside and time.monotonic() < until:
+        threading.Event().wait(0.001)
 
 
 def _alike(one: Model, other: Model) -> bool:

@@ -68,10 +68,10 @@ def _beside_workers(client: Client, directory: Path, skill: str, workers: int) -
                 with conditions[condition]():
                     rates[condition].append(_rate(task))
     middle = {condition: float(np.median(found)) for condition, found in rates.items()}
-    behind = {f"{condition} /s": rate for condition, rate in middle.items()}
+    behind = {"workers": float(workers), **{f"{condition} /s": rate for condition, rate in middle.items()}}
     behind["unwatched, least /s"], behind["most /s"] = min(rates["unwatched"]), max(rates["unwatched"])
     yield Figure(
-        f"{workers} workers' trials a second, watched / unwatched",
+        "workers' trials a second, watched / unwatched",
         middle["watched"] / middle["unwatched"],
         None,
         True,

@@ -99,6 +99,16 @@ def test_what_would_be_written_to_a_file_that_is_gone_is_refused(tmp_path: Path,
     file.close()
 
 
+def test_what_an_interrupt_left_half_done_is_undone_before_the_next(tmp_path: Path) -> None:
+    file = OutboxFile(tmp_path / "box", "lob")
+    file.add(trials(3))
+    file._database.execute("BEGIN IMMEDIATE")
+    file._database.execute("DELETE FROM trial")
+    file.add(trials(1))
+    assert file.pending() == 4
+    file.close()
+
+
 def test_a_closed_one_says_so(tmp_path: Path) -> None:
     file = OutboxFile(tmp_path / "box", "lob")
     file.close()

@@ -186,8 +186,10 @@ class OutboxFile:
                     f"the outbox {self._path} was moved, removed or replaced while it was open; put it back, "
                     "or close this outbox and open another"
                 )
-            self._database.execute("BEGIN IMMEDIATE")
+            if self._database.in_transaction:  # an interrupt came between its beginning and its end
+                self._database.execute("ROLLBACK")
             try:
+                self._database.execute("BEGIN IMMEDIATE")
                 yield self._database
                 self._database.execute("COMMIT")
             except BaseException:

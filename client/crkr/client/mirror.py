@@ -177,6 +177,7 @@ class Mirror:
         with self._changed:
             self._changed.wait_for(lambda: self._model.version >= version or self._closed.is_set(), positive(timeout_s))
         if self._model.version < version:
+            self._end_with_interpreter()
             why = f" ({self._fault.message})" if self._fault is not None else ""
             raise Unavailable(
                 f"the local copy of task {self.name!r} is at log position {self._model.version}, before {version}{why}",
@@ -210,12 +211,16 @@ class Mirror:
     ) -> None:
         self.close()
 
+    def _end_with_interpreter(self) -> None:
+        """Keeps a daemon where it does no harm, once the interpreter ends, and the daemon with it."""
+        if self._exiting.is_set() and threading.current_thread() is not threading.main_thread():
+            self._inside.pop(threading.get_ident(), None)
+            threading.Event().wait()
+
     def _check_open(self) -> None:
         check_not_forked()  # in the child nothing would refresh it
         if self._closed.is_set():
-            if self._exiting.is_set() and threading.current_thread() is not threading.main_thread():
-                self._inside.pop(threading.get_ident(), None)
-                threading.Event().wait()  # the interpreter ends, and this thread with it
+            self._end_with_interpreter()
             raise Unavailable(f"the local copy of task {self.name!r} was closed")
 
     def _check(self) -> None:

@@ -15,10 +15,11 @@ from crkr.client.config import Connection, brief
 from crkr.client.forks import check_not_forked, hold, is_forked, release
 from crkr.protocol import CrkrError, Unavailable
 
-__all__ = ["Guest", "NotConnected", "Session"]
+__all__ = ["Guest", "Inside", "NotConnected", "Session"]
 
 _logger = logging.getLogger(__name__)
 _OPEN_S: Final = 1.0
+_LEAVE_S: Final = 1.0
 _HANDSHAKE_S: Final = 0.5
 
 
@@ -35,6 +36,35 @@ class Guest(Protocol):
 
 
 @final
+class Inside:
+    """Who is in Zenoh, so that nobody is when the interpreter ends.
+
+    It ends its daemons wherever they are, and in the Rust of Zenoh that aborts the process.
+    """
+
+    __slots__ = ("_threads", "shut")
+
+    def __init__(self) -> None:
+        self._threads: dict[int, None] = {}
+        self.shut = False
+
+    def __enter__(self) -> None:
+        self._threads[threading.get_ident()] = None
+        if self.shut:  # not before the thread is noted, or it might be overlooked
+            del self._threads[threading.get_ident()]
+            raise NotConnected("the session was closed")
+
+    def __exit__(self, *error: object) -> None:
+        del self._threads[threading.get_ident()]
+
+    def wait_until_left(self) -> None:
+        """Waits for all others, who leave as soon as the session is closed."""
+        until, me, pause = time.monotonic() + _LEAVE_S, threading.get_ident(), threading.Event()
+        while any(thread != me for thread in list(self._threads)) and time.monotonic() < until:
+            pause.wait(0.001)
+
+
+@final
 class Session:
     """Opens lazily, so that a client may be made before its server is there.
 
@@ -43,13 +73,15 @@ class Session:
 
     Attributes:
         connection: Where it leads.
+        inside: To be entered for each call of Zenoh that waits.
     """
 
     def __init__(self, connection: Connection) -> None:
         self.connection: Final = connection
         self._lock = threading.Lock()
         self._session: zenoh.Session | None = None
-        self._finalizer: weakref.finalize[[zenoh.Session, WeakSet[Guest]], Session] | None = None
+        self._finalizer: weakref.finalize[[zenoh.Session, WeakSet[Guest], Inside], Session] | None = None
+        self.inside: Final = Inside()
         self._closed = threading.Event()
         self._guests: WeakSet[Guest] = WeakSet()
         self._in_vain = False
@@ -111,7 +143,7 @@ class Session:
         except zenoh.ZError as error:
             self._in_vain = True
             raise NotConnected(f"cannot connect: {brief(error)}") from error
-        self._finalizer = weakref.finalize(self, _close, session, self._guests)
+        self._finalizer = weakref.finalize(self, _close, session, self._guests, self.inside)
         hold(self, session)
         _logger.debug("connected to %s", self.connection.endpoint)
         return session
@@ -133,7 +165,7 @@ class Session:
         check_not_forked()
 
 
-def _close(session: zenoh.Session, guests: WeakSet[Guest]) -> None:
+def _close(session: zenoh.Session, guests: WeakSet[Guest], inside: Inside) -> None:
     if is_forked():
         return
     for guest in list(guests):
@@ -141,7 +173,9 @@ def _close(session: zenoh.Session, guests: WeakSet[Guest]) -> None:
             guest.close()
         except CrkrError as error:
             _logger.warning("before closing the session: %s", error.message)
+    inside.shut = True
     try:
         session.close()  # type: ignore[no-untyped-call]  # zenoh's stub gives it no return type
     except zenoh.ZError as error:
         _logger.warning("closing the session: %s", brief(error))
+    inside.wait_until_left()

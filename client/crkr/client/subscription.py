@@ -20,6 +20,7 @@ from crkr.protocol import CrkrError, Invalid, check_encoding, pub_key, unpack
 __all__ = ["TOPICS", "Subscription"]
 
 _logger = logging.getLogger(__name__)
+_JOIN_S: Final = 2.0
 TOPICS: Final = ("trial", "evaluation", "model")
 
 
@@ -72,7 +73,7 @@ class Subscription:
             target=self._buffer.fill, args=(subscriber.handler, tuple(topics)), name=f"crkr-{task}", daemon=True
         )
         self._thread.start()
-        self._finalizer = weakref.finalize(self, _undeclare, subscriber)
+        self._finalizer = weakref.finalize(self, _undeclare, subscriber, self._thread)
         hold(self, subscriber)
 
     @property
@@ -105,7 +106,6 @@ class Subscription:
         """Ends the subscription; a `receive` in progress returns."""
         self._finalizer()
         release(self)
-        self._thread.join(timeout=2.0)
 
     def __enter__(self) -> Subscription:
         return self
@@ -116,10 +116,12 @@ class Subscription:
         self.close()
 
 
-def _undeclare(subscriber: zenoh.Subscriber[Any]) -> None:
+def _undeclare(subscriber: zenoh.Subscriber[Any], thread: threading.Thread) -> None:
     if is_forked():
         return
     try:
         subscriber.undeclare()  # type: ignore[no-untyped-call]  # zenoh's stub gives it no return type
     except zenoh.ZError as error:
         _logger.debug("undeclaring: %s", error)
+    if threading.current_thread() is not thread:  # as a garbage collector's
+        thread.join(_JOIN_S)  # in Zenoh, the end of the interpreter would abort the process

@@ -104,18 +104,18 @@ class Transport:
     def _attempt(self, key: str, kind: str, payload: bytes, timeout_s: float) -> bytes:
         try:
             session = self.session.open(time.monotonic() + timeout_s)
+            with self.session.inside:
+                replies = session.get(
+                    key,
+                    zenoh.handlers.FifoChannel(4),
+                    payload=payload,
+                    encoding=encoding(kind),
+                    consolidation=zenoh.ConsolidationMode.NONE,  # hands over the reply without waiting for the end
+                    timeout=timeout_s,
+                )
+                reply = replies.recv()
         except NotConnected as error:
             raise _Unanswered(str(error)) from error
-        try:
-            replies = session.get(
-                key,
-                zenoh.handlers.FifoChannel(4),
-                payload=payload,
-                encoding=encoding(kind),
-                consolidation=zenoh.ConsolidationMode.NONE,  # hands over the reply without waiting for the end
-                timeout=timeout_s,
-            )
-            reply = replies.recv()
         except zenoh.ZError as error:
             raise _Unanswered(self._silence(session, error)) from error
         return _open_reply(reply, key)

@@ -55,21 +55,32 @@ def test_exploration_narrows_around_what_was_cheap() -> None:
 
 
 def test_learning_past_the_budget_differs_from_stopping_at_it_once_it_is_filled(app: Typer, tmp_path: Path) -> None:
-    def drawn(trials: int, jobs: int) -> dict[str, Any]:
-        words = ["--seeds", "2", "--trials", str(trials), "--budget", "40", "--jobs", str(jobs), "--out", str(tmp_path)]
+    def drawn(trials: int) -> dict[str, Any]:
+        words = [
+            "--seeds",
+            "2",
+            "--trials",
+            str(trials),
+            "--budget",
+            "40",
+            "--balls",
+            "20",
+            "--jobs",
+            "2",
+            "--out",
+            str(tmp_path),
+        ]
         answer = json.loads(run(app, "figure5", *words, "--json"))
         assert json.loads((tmp_path / "figure5.json").read_text()) == answer
         assert_drawn(tmp_path / "figure5.png")
         ways: dict[str, Any] = answer["ways"]
         return ways
 
-    short = drawn(30, 2)
+    short = drawn(30)
     assert len({tuple(way["digests"]) for way in short.values()}) == 1, "all learn alike while there is room"
     assert [way["filled"] for way in short.values()] == [None] * 3
     assert all(way["curve"]["trials"] == [0, 30] for way in short.values())
-    assert drawn(30, 1) == short
-
-    longer = drawn(150, 2)
+    longer = drawn(150)
     assert len({tuple(way["digests"]) for way in longer.values()}) == 3
     for way in longer.values():
         assert 35 < way["filled"] < 150
@@ -78,7 +89,21 @@ def test_learning_past_the_budget_differs_from_stopping_at_it_once_it_is_filled(
 
 
 def test_a_curve_is_drawn_for_each_tradeoff(app: Typer, tmp_path: Path) -> None:
-    words = ["--lambda", "0.5,2", "--seeds", "1", "--trials", "10", "--jobs", "1", "--out", str(tmp_path), "--json"]
+    words = [
+        "--lambda",
+        "0.5,2",
+        "--seeds",
+        "1",
+        "--trials",
+        "10",
+        "--balls",
+        "5",
+        "--jobs",
+        "1",
+        "--out",
+        str(tmp_path),
+        "--json",
+    ]
     ways = json.loads(run(app, "figure7", *words))["ways"]
     assert list(ways) == ["lambda 0.5", "lambda 2"]
     assert ways["lambda 0.5"]["digests"] != ways["lambda 2"]["digests"]

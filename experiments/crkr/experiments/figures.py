@@ -19,11 +19,11 @@ Out = Annotated[Path, typer.Option(file_okay=False, help="Where the figure is sa
 Seeds = Annotated[int, typer.Option(min=1, max=10_000, help="Runs of each curve, one a seed.")]
 FirstSeed = Annotated[int, typer.Option(min=0, max=2**30, help="Seed of the first run.")]
 Trials = Annotated[int, typer.Option(min=1, max=100_000, help="Training trials of a run.")]
+Balls = Annotated[int, typer.Option(min=1, max=1_000_000, help="Fresh contexts to judge each run on in the end.")]
 Jobs = Annotated[int, typer.Option(min=1, max=256, help="Processes.")]
 HERE: Final = Path("figures")
 
 _EPOCH: Final = 50  # training trials, and contexts of the fixed evaluation after them
-_JUDGED: Final = 200  # fresh contexts after the last trial
 _JUDGE: Final = 777
 _DEMONSTRATIONS: Final = 5
 _CRITERION: Final = "paper"
@@ -63,6 +63,7 @@ def figure5(
     first_seed: FirstSeed = 0,
     trials: Trials = 1500,
     budget: Annotated[int, typer.Option(min=1, max=1000, help="Samples that a prediction may use.")] = 250,
+    balls: Balls = 200,
     jobs: Jobs = 2,
     json: Json = False,
 ) -> None:
@@ -75,7 +76,7 @@ def figure5(
     """
     settings = {label.format(budget=budget): {"selector": name, "budget": budget} for name, label in _SELECTORS.items()}
     title = f"Analytic table tennis: learning past a budget of {budget}"
-    _epochs("figure5", "analytic", settings, title, out, (seeds, first_seed, trials, jobs), json)
+    _epochs("figure5", "analytic", settings, title, out, (seeds, first_seed, trials, balls, jobs), json)
 
 
 def figure7(
@@ -84,6 +85,7 @@ def figure7(
     first_seed: FirstSeed = 0,
     trials: Trials = 1500,
     tradeoffs: Annotated[str, typer.Option("--lambda", help="Values to compare, with commas.")] = "0.1,1,10",
+    balls: Balls = 200,
     jobs: Jobs = 2,
     json: Json = False,
 ) -> None:
@@ -99,7 +101,7 @@ def figure7(
         raise Invalid(f"--lambda takes numbers with commas between, e.g. 0.1,1,10; got {tradeoffs!r}") from error
     settings = {f"lambda {value:g}": {"regularisation": value} for value in values}
     title = "Simulated table tennis: the trade-off lambda"
-    _epochs("figure7", "contact", settings, title, out, (seeds, first_seed, trials, jobs), json)
+    _epochs("figure7", "contact", settings, title, out, (seeds, first_seed, trials, balls, jobs), json)
 
 
 def policy(
@@ -135,7 +137,7 @@ def _epochs(
     settings: dict[str, dict[str, Any]],
     title: str,
     out: Path,
-    size: tuple[int, int, int, int],
+    size: tuple[int, int, int, int, int],
     as_json: bool,
 ) -> None:
     from crkr.experiments.epochs_figure import draw_epochs
@@ -143,11 +145,11 @@ def _epochs(
     from crkr.experiments.many_runs import learn_many
     from crkr.sim_worker.skill import SkillOptions
 
-    seeds, first_seed, trials, jobs = size
+    seeds, first_seed, trials, balls, jobs = size
     marks = tuple(range(0, trials, _EPOCH))
     chosen = range(first_seed, first_seed + seeds)
     courses = {
-        label: Course(trials, _JUDGED, _JUDGE, _DEMONSTRATIONS, marks, _EPOCH, tuple(changes.items()))
+        label: Course(trials, balls, _JUDGE, _DEMONSTRATIONS, marks, _EPOCH, tuple(changes.items()))
         for label, changes in settings.items()
     }
     options = SkillOptions(environment=environment, preset="paper")
@@ -162,7 +164,7 @@ def _epochs(
     if as_json:
         print_json(result)
         return
-    stdout.print(f"{path}: {seeds} runs a curve, judged on {_JUDGED} fresh contexts")
+    stdout.print(f"{path}: {seeds} runs a curve, judged on {balls} fresh contexts")
     rows = [
         [label, f"{way['mean']:.3f}", f"{way['worst']:.3f}", f"{way['best']:.3f}", way["filled"] or "never"]
         for label, way in summaries.items()

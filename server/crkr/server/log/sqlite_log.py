@@ -152,6 +152,7 @@ class SqliteLog:
         try:
             self.reads.close()
             with storage_errors("close the task log"):
+                self._writer.execute(f"PRAGMA busy_timeout = {int(1e3 * _CLOSE_PATIENCE_S)}")  # with who still reads
                 self._writer.execute("PRAGMA wal_checkpoint(TRUNCATE)")
         finally:
             self._writer.close()

@@ -107,15 +107,17 @@ class Server:
         )
         writer = Writer(self._log, self.tasks, self._workers, self._learning)
 
-        def lane(name: str, verbs: str, work: Any, most: int = 1, limit: int = _QUEUE) -> dict[str, Lane[Any]]:
-            made: Lane[Any] = Lane(name, dict.fromkeys(verbs.split(), limit), work, most)
+        def lane(
+            name: str, verbs: str, work: Any, most: int = 1, limit: int = _QUEUE, rests: bool = False
+        ) -> dict[str, Lane[Any]]:
+            made: Lane[Any] = Lane(name, dict.fromkeys(verbs.split(), limit), work, most, rests=rests)
             self._lanes.append(made)
             return dict.fromkeys(verbs.split(), made)
 
         write = lane("write", "report create_task recost remove configure archive", writer.work, MOST_REPORTS, 4096)
         brief = lane("brief", "info tasks status model", reader.work)
-        samples = lane("samples", "samples", reader.work)
-        explain = lane("explain", "explain", reader.work)
+        samples = lane("samples", "samples", reader.work, rests=True)
+        explain = lane("explain", "explain", reader.work, rests=True)
         bulk = lane("bulk predict", "predict", predictor.answer)
         self._fitting = Fitting(self.tasks, self._learning, writer)
         refit = lane("refit", "refit", self._fitting.work, limit=16)

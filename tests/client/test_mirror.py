@@ -131,11 +131,13 @@ def test_a_closed_one_answers_no_more(client: Client) -> None:
             call()
 
 
-def test_its_thread_ends_with_the_client(shared_endpoint: str) -> None:
+def test_its_thread_ends_with_the_client_and_the_copy_says_that_it_is_not_refreshed(shared_endpoint: str) -> None:
     with Client(shared_endpoint) as client:
         mirror = client.create_task(specification()).mirror(every_s=0.05, pause_s=0.01)
     mirror._thread.join(PATIENCE_S)
     assert not mirror._thread.is_alive()
+    assert mirror.fault is not None
+    assert "closed" in mirror.fault.message
     with pytest.raises(Unavailable):
         mirror.refresh()
 

@@ -236,14 +236,17 @@ class Mirror:
         """Refreshes after notices, which tell only that there is something, and at least every `every_s`."""
         while not self._closed.wait(self._pause_s):
             self._notices.receive(self._every_s)
-            if self._notices.closed:
+            if self._closed.is_set():
                 return
+            over = self._notices.closed  # with the client, as this last attempt will say
             try:
                 self.refresh(_ATTEMPT_S)
             except Exception as error:  # whatever it is, the next attempt may do better; `fault` and `age_s` tell
                 if not isinstance(error, CrkrError):
                     self._fault = Internal(f"the local copy of task {self.name!r} was not refreshed: {error!r}")
                 _logger.debug("the local copy of task %s was not refreshed: %s", self.name, error)
+            if over:
+                return
 
     def _fetch(self, known: Model | None, timeout_s: float | None) -> tuple[Model, UUID, float]:
         """The server's model (the known one where it still is), which server, and when it was asked [s, monotonic].

@@ -77,7 +77,8 @@ def test_the_deadline_ends_it_with_an_error_that_names_endpoint_key_and_time(
 def test_a_server_that_is_not_there_is_named_in_one_line(free_port: int) -> None:
     with Client(f"tcp/127.0.0.1:{free_port}", timeout_s=0.2) as client, pytest.raises(Unavailable) as caught:
         client.info()
-    assert caught.value.message == f"no server at tcp/127.0.0.1:{free_port} within 0.2 s; start one: crkr server"
+    said = f"no server at tcp/127.0.0.1:{free_port} within 0.2 s; start one: crkr server, or ask why: crkr doctor"
+    assert caught.value.message == said
     assert caught.value.details["key"] == "crkr/@v1/rpc/info"
     assert caught.value.details["attempts"] >= 1
 

@@ -138,7 +138,9 @@ class Transport:
             "reason": reason,
         }
         if self.session.peek() is None:
-            message = f"no server at {self.endpoint} within {tried_s:.1f} s; start one: crkr server"
+            message = (
+                f"no server at {self.endpoint} within {tried_s:.1f} s; start one: crkr server, or ask why: crkr doctor"
+            )
             return Unavailable(message, details=details)
         ask = "" if reason.startswith("connected") else "is the server running? "
         return Unavailable(

@@ -24,7 +24,7 @@ def create(
     ] = None,
     skill: Annotated[
         str | None,
-        typer.Option(help="Take a skill's own specification, or package.module:factory.", rich_help_panel=_OF_A_SKILL),
+        typer.Option(help="An installed skill, or your own as package.module:factory.", rich_help_panel=_OF_A_SKILL),
     ] = None,
     preset: Annotated[
         str | None, typer.Option(help="Which of the skill's, e.g. tuned.", rich_help_panel=_OF_A_SKILL)

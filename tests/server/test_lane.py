@@ -57,10 +57,13 @@ def test_it_rests_as_long_as_it_worked_while_more_waits(ask: Ask) -> None:
 
 def test_the_end_comes_before_the_end_of_a_rest(ask: Ask) -> None:
     working, go_on = threading.Event(), threading.Event()
+    spans: list[tuple[float, float]] = []
 
     def work(requests: list[Request]) -> None:
+        began = time.monotonic()
         working.set()
         go_on.wait(20)
+        spans.append((began, time.monotonic()))
         for request in requests:
             request.reply({"done": True})
 
@@ -72,7 +75,10 @@ def test_the_end_comes_before_the_end_of_a_rest(ask: Ask) -> None:
     assert working.wait(10)
     closing = threading.Thread(target=lane.close, args=(20.0,))
     closing.start()
+    closing.join(1.0)  # so long, at least, the lane would rest otherwise
     go_on.set()
     closing.join(10)
     assert not closing.is_alive()
     assert all(replies.recv().ok is not None for _, replies in asked)
+    (began, ended), (begins, _), _ = spans
+    assert begins - ended < ended - began

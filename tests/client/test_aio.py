@@ -2,6 +2,7 @@
 
 import asyncio
 import signal
+import threading
 from collections.abc import Callable, Coroutine
 from typing import Any
 
@@ -62,6 +63,23 @@ def test_errors_are_those_of_the_blocking_client(shared_endpoint: str) -> None:
             for call, error in wrong:
                 with pytest.raises(error):
                     await call
+
+    run(program())
+
+
+def test_a_call_that_got_no_thread_keeps_no_other_from_its_turn(
+    shared_endpoint: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(_: threading.Thread) -> None:
+        raise RuntimeError("can't start new thread")
+
+    async def program() -> None:
+        async with AsyncClient(shared_endpoint, in_flight=1) as client:
+            with monkeypatch.context() as patch:
+                patch.setattr(threading.Thread, "start", refuse)
+                with pytest.raises(RuntimeError, match="new thread"):
+                    await client.info()
+            assert (await client.info(timeout_s=PATIENCE_S))["protocol"] == 1
 
     run(program())
 

@@ -65,7 +65,11 @@ class _Calls:
             turns.release()
             raise Unavailable(f"the client is closed: {call.__qualname__} was not called")
         left = max(deadline - loop.time(), 0.001)
-        future = self._daemons.submit(functools.partial(call, *args, **kwargs, timeout_s=left))
+        try:
+            future = self._daemons.submit(functools.partial(call, *args, **kwargs, timeout_s=left))
+        except BaseException:  # the system gives no thread
+            turns.release()
+            raise
         try:
             return await asyncio.wrap_future(future)
         finally:

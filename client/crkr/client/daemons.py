@@ -34,8 +34,8 @@ class Daemons:
             if self._free:
                 self._free -= 1
             else:
-                self._count += 1
-                threading.Thread(target=self._run, name=f"{self._name}-{self._count}", daemon=True).start()
+                threading.Thread(target=self._run, name=f"{self._name}-{self._count + 1}", daemon=True).start()
+                self._count += 1  # not where the system gives no thread
         self._work.put((future, call))
         return future
 

@@ -57,3 +57,18 @@ def test_a_server_whose_log_is_closed_goes_on(
             assert ask("rpc/create_task", {**reach, "name": f"task-{number}"})["created"] is True
         process.send_signal(signal.SIGTERM)
         assert process.wait(timeout=10) == 0
+
+
+def test_whoever_logs_what_cannot_be_formatted_goes_on() -> None:
+    program = """
+import logging
+from crkr.server.stderr_log import StderrLog
+log = StderrLog(logging.INFO)
+logging.getLogger("crkr.here").info("%d of %d", 1)
+logging.getLogger("crkr.here").info("and on")
+log.flush(20.0)
+"""
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=True)
+    first, second = ended.stderr.splitlines()
+    assert "crkr.here, line 5: TypeError" in first
+    assert second.endswith("INFO crkr.here: and on")

@@ -72,4 +72,8 @@ class _Handler(logging.Handler):
         self._add = add
 
     def emit(self, record: logging.LogRecord) -> None:
-        self._add(self.format(record))
+        try:
+            line = self.format(record)
+        except Exception as error:  # whoever logs goes on, as with every handler
+            line = f"(a line of the log could not be made: {record.name}, line {record.lineno}: {type(error).__name__})"
+        self._add(line)

@@ -323,7 +323,9 @@ class Task:
             entries = {entry["spec"]["name"]: entry for entry in required(reply, "tasks")}
             if self.name not in entries:
                 names = ", ".join(sorted(entries)) or "none"
-                raise UnknownTask(f"no task {self.name!r} at {self._rpc.transport.endpoint}; it has: {names}")
+                raise UnknownTask(
+                    f"no task {self.name!r} at {self._rpc.transport.endpoint}; it has: {names}; crkr create makes one"
+                )
             mine = entries[self.name]
             self._spec = TaskSpec.from_dict(mine["spec"])
             return self._spec, mine.get("archived") is True

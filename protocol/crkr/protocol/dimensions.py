@@ -6,20 +6,27 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, final
 
-from crkr.protocol.checks import number, required, text
+from crkr.protocol.checks import number, text
 from crkr.protocol.errors import Invalid
 
 __all__ = ["GoalDimension", "OutcomeEntry", "StateDimension"]
 
 
+def _given(entry: Mapping[str, Any], field: str, where: str) -> Any:
+    """The required field's value; among so many coordinates the complaint has to say whose is missing."""
+    if field not in entry:
+        raise Invalid(f"field {field!r} is required in {where}", details={"field": f"{where}.{field}"})
+    return entry[field]
+
+
 def _box(entry: Mapping[str, Any], where: str) -> tuple[float, float]:
-    return number(required(entry, "low"), f"{where}.low"), number(required(entry, "high"), f"{where}.high")
+    return number(_given(entry, "low", where), f"{where}.low"), number(_given(entry, "high", where), f"{where}.high")
 
 
 def _name(entry: object, where: str) -> tuple[Mapping[str, Any], str, str]:
     if not isinstance(entry, Mapping):
         raise Invalid(f"{where} must be a map with a name; got {type(entry).__name__}")
-    name = text(required(entry, "name"), f"{where}.name", longest=64)
+    name = text(_given(entry, "name", where), f"{where}.name", longest=64)
     if not name:
         raise Invalid(f"{where}.name must not be empty")
     return entry, name, text(entry.get("unit", ""), f"{where}.unit", longest=32)
@@ -110,6 +117,6 @@ class OutcomeEntry:
         """Reads one entry of a spec's `outcome`; raises `Invalid`."""
         entry, name, unit = _name(entry, where)
         target = number(entry.get("target", 0.0), f"{where}.target")
-        tolerance = number(required(entry, "tolerance"), f"{where}.tolerance", above=0.0)
+        tolerance = number(_given(entry, "tolerance", where), f"{where}.tolerance", above=0.0)
         group = text(entry.get("group", name), f"{where}.group", longest=64)
         return cls(name, unit, target, tolerance, group)

@@ -120,7 +120,9 @@ class Tasks:
         task = self._by_name.get(name)
         if task is None:
             known = ", ".join(sorted(self._by_name)[:20]) or "none yet"
-            raise UnknownTask(f"no task {name!r} here; there are: {known}", details={"task": name})
+            raise UnknownTask(
+                f"no task {name!r} here; there are: {known}; crkr create makes one", details={"task": name}
+            )
         return task
 
     def all(self) -> list[ServedTask]:

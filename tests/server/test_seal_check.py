@@ -1,6 +1,7 @@
 """A long log is looked over row by row after the start: damage that no prediction rests on is found and told too."""
 
 import os
+import queue
 import sqlite3
 import subprocess
 import sys
@@ -15,6 +16,7 @@ import pytest
 from crkr.protocol import StorageError, TaskSpec
 from crkr.server.filling import fill
 from crkr.server.log import SqliteReader
+from crkr.server.seal_check import SealCheck
 
 Ask = Callable[..., dict[str, Any]]
 COUNT = 5200  # the rows of shorter logs are read whole as the server starts
@@ -95,3 +97,20 @@ def test_a_whole_log_is_found_whole_and_a_server_may_end_meanwhile(
     processes.wait_until(lambda: "task reach: every row is as it was stored" in server.log.read_text(), server.log)
     assert "damage" not in connect(server.endpoint)("task/reach/rpc/status")
     assert "Traceback" not in server.log.read_text()
+
+
+def test_files_in_the_working_directory_are_not_taken_for_modules(
+    long_log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    damage(long_log, DAMAGES[0], 4321)
+    (tmp_path / "sqlite3.py").write_text("raise SystemExit(3)\n")
+    monkeypatch.chdir(tmp_path)
+    told: queue.Queue[tuple[str, str]] = queue.Queue()
+    check = SealCheck(long_log / "crkr.sqlite3", {"reach": COUNT + 1}, lambda *damage: told.put(damage))
+    check.start()
+    try:
+        task, what = told.get(timeout=60)
+    finally:
+        check.stop()
+    assert task == "reach"
+    assert "log position 4321" in what

@@ -62,7 +62,8 @@ class SealCheck:
     def _run(self) -> None:
         if self._stopped.wait(_DELAY_S):
             return
-        command = [sys.executable, "-m", "crkr.server.seal_check", str(self._path), json.dumps(self._tasks)]
+        # -P: a file in the working directory that is called as a module of Python's is not one.
+        command = [sys.executable, "-P", "-m", "crkr.server.seal_check", str(self._path), json.dumps(self._tasks)]
         try:
             with self._starting:
                 if self._stopped.is_set():

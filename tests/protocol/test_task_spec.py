@@ -184,6 +184,24 @@ def test_unknown_fields_are_ignored_on_the_wire_and_refused_in_files() -> None:
     assert TaskSpec.from_dict({**THROW, "colour": 1}) == TaskSpec.from_dict(THROW)
     with pytest.raises(Invalid, match="colour"):
         TaskSpec.from_dict({**THROW, "colour": 1}, strict=True)
+    every = TaskSpec.from_dict({**THROW, "outcome": OUTCOME})
+    assert TaskSpec.from_dict(every.to_dict(), strict=True) == every
+
+
+@pytest.mark.parametrize(
+    ("where", "change"),
+    [
+        (r"state\[1\]", {"state": [THROW["state"][0], {**THROW["state"][1], "lenghtscale": 1}]}),
+        (r"goal\[0\]", {"goal": [{**THROW["goal"][0], "lenghtscale": 1}]}),
+        (r"outcome\[0\]", {"outcome": [{**OUTCOME[0], "lenghtscale": 1}]}),
+        ("kernel", {"kernel": {"lenghtscale": 1}}),
+        ("exploration", {"exploration": {"lenghtscale": 1}}),
+    ],
+)
+def test_a_misspelt_field_of_a_file_is_refused_wherever_it_stands(where: str, change: dict[str, Any]) -> None:
+    TaskSpec.from_dict({**THROW, **change})
+    with pytest.raises(Invalid, match=f"unknown fields in {where}: lenghtscale; known are "):
+        TaskSpec.from_dict({**THROW, **change}, strict=True)
 
 
 def test_some_settings_may_change_and_the_rest_may_not() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Final, final
 
@@ -97,10 +97,8 @@ class TaskSpec:
         """
         if not isinstance(data, Mapping):
             raise Invalid(f"a task specification is a map; got {type(data).__name__}")
-        unknown = sorted(str(key) for key in data if key not in cls.__dataclass_fields__)
-        if strict and unknown:
-            known = ", ".join(cls.__dataclass_fields__)
-            raise Invalid(f"unknown fields in the specification: {', '.join(unknown)}; known are {known}")
+        if strict:  # first, as a required field may be there under a misspelt name
+            _refuse_unknown(data, cls.__dataclass_fields__, "the specification")
         fields: dict[str, Any] = {
             "name": check_name(required(data, "name")),
             "state": _axes(required(data, "state"), "state", StateDimension.from_dict),
@@ -114,7 +112,10 @@ class TaskSpec:
         for name, read in _SCALARS.items():
             if name in data:
                 fields[name] = read(data[name])
-        return cls(**fields)
+        spec = cls(**fields)
+        if strict:
+            _refuse_unknown_within(data, spec.to_dict())
+        return spec
 
     def to_dict(self) -> dict[str, Any]:
         """The specification as plain data, every default filled in; `from_dict` reads it back unchanged."""
@@ -173,6 +174,21 @@ class TaskSpec:
     def scales(self) -> Array:
         """(p,) scales of the goals."""
         return np.array([axis.scale for axis in self.goal])
+
+
+def _refuse_unknown(given: Mapping[str, Any], known: Collection[str], where: str) -> None:
+    if unknown := sorted(str(key) for key in given if key not in known):
+        raise Invalid(f"unknown fields in {where}: {', '.join(unknown)}; known are {', '.join(known)}")
+
+
+def _refuse_unknown_within(given: Mapping[str, Any], spelt_out: Mapping[str, Any]) -> None:
+    """The same for axes and groups of settings: `spelt_out` is what was read from `given`, every default filled in."""
+    for name, value in given.items():
+        if isinstance(value, Mapping):
+            _refuse_unknown(value, spelt_out[name], name)
+        elif isinstance(value, list | tuple):
+            for index, entry in enumerate(value):
+                _refuse_unknown(entry, spelt_out[name][index], f"{name}[{index}]")
 
 
 def _axes(value: object, name: str, read: Callable[[object, str], Any], least: int = 1) -> tuple[Any, ...]:

@@ -1,8 +1,10 @@
 """Awaited calls do what the blocking ones do, many at once, and leave the loop to others meanwhile."""
 
 import asyncio
+import gc
 import signal
 import threading
+import weakref
 from collections.abc import Callable, Coroutine
 from typing import Any
 
@@ -82,6 +84,21 @@ def test_a_call_that_got_no_thread_keeps_no_other_from_its_turn(
             assert (await client.info(timeout_s=PATIENCE_S))["protocol"] == 1
 
     run(program())
+
+
+def test_a_loop_that_is_over_is_not_kept_although_calls_waited_in_it(shared_endpoint: str) -> None:
+    client = AsyncClient(shared_endpoint, in_flight=1)
+    loops: list[weakref.ref[asyncio.AbstractEventLoop]] = []
+
+    async def program() -> None:
+        loops.append(weakref.ref(asyncio.get_running_loop()))
+        await asyncio.gather(client.info(), client.info(), client.info())
+
+    for _ in range(4):
+        run(program())
+    gc.collect()
+    assert sum(loop() is not None for loop in loops) <= 1
+    run(client.close())
 
 
 @pytest.mark.parametrize("in_flight", [0, -1, 1.5, True])

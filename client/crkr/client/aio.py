@@ -52,7 +52,7 @@ class _Calls:
         check_not_forked()
         loop = asyncio.get_running_loop()
         deadline = loop.time() + (self.timeout_s if timeout_s is None else positive(timeout_s))
-        turns = self._turns.get(loop) or self._turns.setdefault(loop, asyncio.Semaphore(self.most))
+        turns = self._turns_in(loop)
         try:
             async with asyncio.timeout_at(deadline):
                 await turns.acquire()
@@ -77,6 +77,13 @@ class _Calls:
                 turns.release()
             else:  # cancelled here; the thread is not done yet
                 future.add_done_callback(functools.partial(_release, loop, turns))
+
+    def _turns_in(self, loop: asyncio.AbstractEventLoop) -> asyncio.Semaphore:
+        if (turns := self._turns.get(loop)) is None:
+            for over in [one for one in self._turns if one.is_closed()]:  # one that was waited for holds its loop
+                del self._turns[over]
+            turns = self._turns[loop] = asyncio.Semaphore(self.most)
+        return turns
 
     def close(self) -> None:
         """Takes no more calls."""

@@ -75,3 +75,24 @@ def test_a_key_that_cannot_be_read_is_told_before_anything_is_tried(tmp_path: Pa
     broken.write_text("no certificate")
     files = config(enable_mtls="true", connect_certificate=f'"{broken}"', connect_private_key=f'"{broken}"')
     assert f"{broken} or its key cannot be used" in str(refusal("tls/127.0.0.1:1", files, 1.0))
+
+
+def test_a_name_that_nobody_looks_up_is_given_up_in_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    over, late = threading.Event(), threading.Event()
+
+    def look_up(*_: object, **__: object) -> list[object]:
+        if not over.wait(20.0):
+            late.set()
+        raise socket.gaierror("no name server")
+
+    monkeypatch.setattr(socket, "getaddrinfo", look_up)
+    try:
+        assert refusal("tls/learner.lab:7447", config(), 0.1) is None
+        assert certificate_end("tls/learner.lab:7447", config(), 0.1) is None
+        assert not late.is_set()
+    finally:
+        over.set()
+
+
+def test_what_is_no_name_is_no_refusal() -> None:
+    assert refusal("tls/learner..lab:7447", config(), 1.0) is None

@@ -14,10 +14,13 @@ import time
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Any, Final, final
 
 import zenoh
+
+from crkr.client.daemons import Daemons
 
 __all__ = ["certificate_end", "refusal"]
 
@@ -77,11 +80,11 @@ def refusal(endpoint: str, config: zenoh.Config, patience_s: float) -> str | Non
     except (OSError, ValueError) as error:
         return f"the certificate {identity.certificate} or its key cannot be used: {_words(error)}"
     try:
-        with socket.create_connection((host, int(port)), timeout=patience_s) as connection:
+        with _connection(host, int(port), deadline) as connection:
             _shake_hands(connection, context, host, deadline)
     except ssl.SSLError as error:
         return _reason(error, identity, host) if protocol == "tls" else _mixed_up(error)
-    except OSError:  # nobody listens, or says nothing
+    except (OSError, UnicodeError):  # nobody listens, or says nothing; it is no name
         return None
     return None if protocol == "tls" else _mixed_up(None)
 
@@ -94,7 +97,7 @@ def certificate_end(endpoint: str, config: zenoh.Config, patience_s: float) -> d
     try:
         context = _context(_Identity.of(config))
         with (
-            socket.create_connection((parts[2], int(parts[3])), timeout=patience_s) as connection,
+            _connection(parts[2], int(parts[3]), time.monotonic() + patience_s) as connection,
             context.wrap_socket(connection, server_hostname=parts[2]) as secured,
         ):
             found: Any = secured.getpeercert()
@@ -113,6 +116,20 @@ def _context(identity: _Identity) -> ssl.SSLContext:
     if identity.certificate is not None:
         context.load_cert_chain(identity.certificate, identity.key)
     return context
+
+
+def _connection(host: str, port: int, deadline: float) -> socket.socket:
+    """By the deadline, which nothing sets the system where it looks a name up: hence on a thread of its own."""
+    threads = Daemons("crkr-names")
+    looked_up = threads.submit(partial(socket.getaddrinfo, host, port, type=socket.SOCK_STREAM))
+    threads.close()
+    failure = OSError(f"{host} has no address")
+    for *_, address in looked_up.result(max(0.001, deadline - time.monotonic())):
+        try:
+            return socket.create_connection((str(address[0]), port), timeout=max(0.001, deadline - time.monotonic()))
+        except OSError as error:
+            failure = error
+    raise failure
 
 
 def _shake_hands(connection: socket.socket, context: ssl.SSLContext, host: str, deadline: float) -> None:

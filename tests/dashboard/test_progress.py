@@ -117,3 +117,14 @@ def test_endless_new_names_do_not_grow_the_tables(stored: Make) -> None:
     assert len(progress.workers) <= MAX_NAMES + 1
     assert len(progress.criteria) <= MAX_NAMES
     assert progress.reasons["other"] == 199 - MAX_NAMES
+
+
+def test_what_is_judged_by_no_criterion_of_the_others_counts_for_none_of_them(stored: Make) -> None:
+    progress = Progress()
+    progress.add(stored(1, "trial", success=False), 0.0)  # reported by hand, beside workers that name criteria
+    for seq in range(2, 10, 2):
+        progress.add(stored(seq, "trial", success=True, info={"outcomes": {"paper": seq > 4}}), 0.0)
+        progress.add(evaluation(stored, seq + 1, 0, paper=seq != 2), 0.0)
+    assert (progress.window.rate("paper"), progress.window.rate("success")) == (0.5, 0.0)
+    (result,) = progress.finished_epochs(now=2 * QUIET_S)
+    assert (list(result.judged), result.rate("paper")) == (["paper"], 0.75)

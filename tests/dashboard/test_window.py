@@ -21,7 +21,7 @@ def test_a_window_says_what_counting_its_trials_anew_says(
     assert len(window) == len(kept)
     assert window.mean_cost() == (pytest.approx(sum(costs) / len(costs)) if costs else None)
     for name in "ab":
-        met = [outcomes.get(name, False) for _, outcomes, _ in kept]
+        met = [outcomes[name] for _, outcomes, _ in kept if name in outcomes]
         assert window.rate(name) == (sum(met) / len(met) if met else None)
     for reason in "xyz":
         assert window.share(reason) == sum(r == reason for _, _, r in kept) / max(len(kept), 1)

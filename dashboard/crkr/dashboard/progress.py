@@ -64,7 +64,8 @@ class EpochResult:
         epoch: Which.
         trial: Training trials that the model had learned from which played the first ball.
         balls: Evaluation trials so far.
-        successes: Of them, by criterion.
+        judged: Of them, by criterion: how many it was said of whether they met it.
+        successes: How many met it.
         last_seen: When the last one was counted, monotonic [s].
         closed: Whether it was handed out as finished.
     """
@@ -72,17 +73,18 @@ class EpochResult:
     epoch: int
     trial: int
     balls: int = 0
+    judged: Counter[str] = field(default_factory=Counter)
     successes: Counter[str] = field(default_factory=Counter)
     last_seen: float = 0.0
     closed: bool = False
 
     def rate(self, criterion: str) -> float:
-        """Share of balls that met the criterion."""
-        return self.successes[criterion] / self.balls
+        """Share that met the criterion of the balls that were judged by it, of which there must be one."""
+        return self.successes[criterion] / self.judged[criterion]
 
     def interval(self, criterion: str) -> tuple[float, float]:
         """95 % confidence interval of the rate."""
-        return wilson_interval(self.successes[criterion], self.balls)
+        return wilson_interval(self.successes[criterion], self.judged[criterion])
 
 
 @final
@@ -150,7 +152,7 @@ class Progress:
             reason,
             outcomes,
             self.window.mean_cost(),
-            {name: self.window.rate(name) or 0.0 for name in self.criteria},
+            {name: rate for name in self.criteria if (rate := self.window.rate(name)) is not None},
             {name: self.window.share(name) for name in self.reasons},
         )
 
@@ -183,6 +185,7 @@ class Progress:
     def _evaluate(self, epoch: int, trial: int, outcomes: Mapping[str, bool], now: float) -> None:
         result = self.epochs.setdefault(epoch, EpochResult(epoch, trial))
         result.balls += 1
+        result.judged.update(outcomes.keys())
         result.successes.update(name for name, met in outcomes.items() if met)
         result.last_seen = now
         self.epoch = max(self.epoch, epoch + 1)

@@ -84,7 +84,7 @@ class TerminalDisplay:
 
     def epoch(self, result: EpochResult, progress: Progress) -> None:
         """Says how an evaluation went."""
-        rates = ", ".join(f"{name} {result.rate(name):.2f}" for name in progress.criteria)
+        rates = ", ".join(f"{name} {result.rate(name):.2f}" for name in progress.criteria if name in result.judged)
         self.say(f"epoch {result.epoch}: {rates} of {result.balls} evaluation trials")
 
     def status(self, status: Mapping[str, Any], progress: Progress, now: float) -> None:
@@ -136,7 +136,8 @@ class TerminalDisplay:
 
     def _line(self, progress: Progress) -> str:
         status = self._status
-        success = ", ".join(f"{name} {percent(progress.window.rate(name))}" for name in progress.criteria)
+        rates = {name: progress.window.rate(name) for name in progress.criteria}
+        success = ", ".join(f"{name} {percent(rate)}" for name, rate in rates.items() if rate is not None)
         return (
             f"training trials {progress.trials}  {speed(self._speed):.1f}/s  epoch {progress.epoch}  "
             f"active {status.get('active', '-')} of {status.get('eligible', '-')} samples"
@@ -147,8 +148,11 @@ class TerminalDisplay:
         table = Table("evaluation", "by epoch", "first", "newest", "95 % interval", title_justify="left")
         results = sorted((r for r in progress.epochs.values() if r.closed), key=lambda result: result.epoch)
         for name in progress.criteria if results else ():
-            rates = [result.rate(name) for result in results]
-            low, high = results[-1].interval(name)
+            judged = [result for result in results if name in result.judged]
+            if not judged:
+                continue
+            rates = [result.rate(name) for result in judged]
+            low, high = judged[-1].interval(name)
             table.add_row(
                 Text(name),
                 sparkline(rates),

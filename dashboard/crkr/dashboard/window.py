@@ -21,6 +21,7 @@ class Window:
         self._entries: deque[tuple[float | None, Mapping[str, bool], str]] = deque()
         self._size = size
         self._met: Counter[str] = Counter()
+        self._judged: Counter[str] = Counter()
         self.reasons: Counter[str] = Counter()
 
     def add(self, cost: float | None, outcomes: Mapping[str, bool], reason: str) -> None:
@@ -28,17 +29,19 @@ class Window:
         if len(self._entries) == self._size:
             _, met, gone = self._entries.popleft()
             self._met.subtract(name for name, is_met in met.items() if is_met)
+            self._judged.subtract(dict.fromkeys(met, 1))
             self.reasons.subtract([gone])
         self._entries.append((cost, outcomes, reason))
         self._met.update(name for name, is_met in outcomes.items() if is_met)
+        self._judged.update(dict.fromkeys(outcomes, 1))
         self.reasons.update([reason])
 
     def __len__(self) -> int:
         return len(self._entries)
 
     def rate(self, criterion: str) -> float | None:
-        """Share of trials that met the criterion, or None without trials."""
-        return self._met[criterion] / len(self._entries) if self._entries else None
+        """Share that met the criterion of the trials that were judged by it, or None without any."""
+        return self._met[criterion] / self._judged[criterion] if self._judged[criterion] else None
 
     def share(self, reason: str) -> float:
         """Share of trials that ended so."""

@@ -75,6 +75,8 @@ class Curves:
         """Success of one evaluation with its 95 % interval."""
         times = {"trial": result.trial, "epoch": result.epoch}
         for index, name in enumerate(progress.criteria):
+            if name not in result.judged:
+                continue
             colour = CRITERIA[index % len(CRITERIA)]
             low, high = result.interval(name)
             # The band is one standard deviation wide on each side of its middle, which is not quite the rate.

@@ -72,7 +72,7 @@ class RerunDisplay:
         self._curves.epoch(result, progress)
         rates = ", ".join(
             f"{name} {result.rate(name):.2f} [{result.interval(name)[0]:.2f}, {result.interval(name)[1]:.2f}]"
-            for name in progress.criteria
+            for name in result.judged
         )
         self.say(f"epoch {result.epoch}: {rates} of {result.balls} evaluation trials")
 

@@ -11,7 +11,7 @@ from uuid import UUID
 import numpy as np
 
 from crkr.learner.exploration.explorer import Explorer, GaussianExplorer
-from crkr.learner.exploration.outcome_model import OutcomeLearning
+from crkr.learner.exploration.outcome_learner import OutcomeLearning
 from crkr.learner.kernel import Kernel
 from crkr.learner.kernel_matrix import KernelMatrix
 from crkr.learner.model import Model

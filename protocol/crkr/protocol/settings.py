@@ -56,33 +56,39 @@ class Exploration:
         type: "gaussian" (the paper) or "outcome" (guided by measured outcomes).
         trust: Standard deviations of the mean that the outcome model may move it.
         temperature: Scales of the draw, one chosen per trial.
-        neighbours: Executed trials that each local outcome model is fitted to.
-        iterations: Linearisations of the outcome model.
+        neighbours: Trials that each local outcome model is fitted to; more than 200 count as 200.
+        iterations: Updates of the goal by the outcome model.
         min_trials: Executed trials before the outcome model is used.
         gate: Predicted outcome, in tolerances, above which the mean is corrected.
+        model: "gp", local Gaussian processes.
+        candidates: Goals that an answer without exploration is chosen among, beside the mean and the corrected one.
     """
 
     type: str = "gaussian"
     trust: float = 4.0
-    temperature: tuple[float, ...] = (0.1, 0.5)
-    neighbours: int = 60
-    iterations: int = 2
-    min_trials: int = 20
-    gate: float = 2.0
+    temperature: tuple[float, ...] = (0.02, 0.1, 0.5)
+    neighbours: int = 100
+    iterations: int = 3
+    min_trials: int = 6
+    gate: float = 1.0
+    model: str = "gp"
+    candidates: int = 32
 
     @classmethod
     def from_dict(cls, value: object) -> Exploration:
         """Reads a spec's `exploration`; raises `Invalid`."""
         entry = _map(value, "exploration")
-        temperatures = entry.get("temperature", [0.1, 0.5])
+        temperatures = entry.get("temperature", [0.02, 0.1, 0.5])
         if not isinstance(temperatures, list | tuple) or not temperatures:
             raise Invalid(f"exploration.temperature must be a list of numbers; got {temperatures!r:.80}")
         return cls(
             choice(entry.get("type", "gaussian"), "exploration.type", ("gaussian", "outcome")),
             number(entry.get("trust", 4.0), "exploration.trust", above=0.0, high=LARGEST),
             tuple(number(item, "exploration.temperature", above=0.0, high=LARGEST) for item in temperatures),
-            integer(entry.get("neighbours", 60), "exploration.neighbours", low=1, high=MOST_TRIALS),
-            integer(entry.get("iterations", 2), "exploration.iterations", low=1, high=100),
-            integer(entry.get("min_trials", 20), "exploration.min_trials", low=1, high=MOST_TRIALS),
-            number(entry.get("gate", 2.0), "exploration.gate", low=0.0),
+            integer(entry.get("neighbours", 100), "exploration.neighbours", low=1, high=MOST_TRIALS),
+            integer(entry.get("iterations", 3), "exploration.iterations", low=1, high=100),
+            integer(entry.get("min_trials", 6), "exploration.min_trials", low=1, high=MOST_TRIALS),
+            number(entry.get("gate", 1.0), "exploration.gate", low=0.0),
+            choice(entry.get("model", "gp"), "exploration.model", ("gp",)),
+            integer(entry.get("candidates", 32), "exploration.candidates", low=1, high=1000),
         )

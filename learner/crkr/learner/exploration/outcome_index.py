@@ -1,4 +1,4 @@
-"""The executed trials whose outcome was observed, hits and misses alike: what the outcome model looks up.
+"""The tried goals, hits, misses and refusals alike: what the outcome model looks up.
 
     X  (n, d + p)  trials in the metric of `OutcomeScales`      Y  (n, q)  outcomes in tolerances from the target
 
@@ -43,7 +43,10 @@ class ObservedTrials:
         fits_single: Whether all of these lengths are at most `LARGEST_SINGLE`.
         Y: (n, q) outcomes in tolerances from the target, NaN where not observed.
         counts: For each group in how many it was observed.
-        hidden: For each group (n,) infinity where it was not observed, else 0; None where it was in all.
+        hidden: For each group (n,) infinity where it was not observed, else 0; None where it was in all. After the
+            groups comes one more, `everything`, which is hidden nowhere.
+        refused: (n,) which goals were refused, not executed.
+        any_refused: Whether any was.
     """
 
     X: Array
@@ -52,16 +55,31 @@ class ObservedTrials:
     Y: Array
     counts: tuple[int, ...]
     hidden: tuple[Single | None, ...]
+    refused: NDArray[np.bool_]
+    any_refused: bool
 
     @classmethod
-    def of(cls, X: Array, single: Single, fits_single: bool, Y: Array, hidden: Sequence[Single]) -> ObservedTrials:
-        """Those of which these say where a group is hidden; the arrays become read-only."""
-        arrays: list[NDArray[Any]] = [X, single, Y, *hidden]
+    def of(
+        cls,
+        X: Array,
+        single: Single,
+        fits_single: bool,
+        Y: Array,
+        hidden: Sequence[Single],
+        refused: NDArray[np.bool_],
+    ) -> ObservedTrials:
+        """Those of which `hidden` says where a group is hidden; the arrays become read-only."""
+        arrays: list[NDArray[Any]] = [X, single, Y, *hidden, refused]
         for array in arrays:
             array.setflags(write=False)
         counts = tuple(len(X) - int(np.count_nonzero(own)) for own in hidden)
         partly = (own if count < len(X) else None for own, count in zip(hidden, counts, strict=True))
-        return cls(X, single, fits_single, Y, counts, tuple(partly))
+        return cls(X, single, fits_single, Y, (*counts, len(X)), (*partly, None), refused, bool(refused.any()))
+
+    @property
+    def everything(self) -> int:
+        """The group that all trials belong to."""
+        return len(self.hidden) - 1
 
     def __len__(self) -> int:
         return len(self.X)
@@ -99,6 +117,7 @@ class OutcomeIndex:
         self._fits_single = True
         self._Y = Growable(np.float64, (q,))
         self._hidden = [Growable(np.float32) for _ in self._scales.groups]
+        self._refused = Growable(np.bool_)
         self._rows = Growable(np.int64)
         self._snapshot: ObservedTrials | None = None
 
@@ -114,7 +133,14 @@ class OutcomeIndex:
         deviations = self._scales.deviations(self._store.outcomes[rows])
         single, fits_single = in_single_precision(points)
         self._fits_single &= fits_single
-        columns = [(self._X, points), (self._single, single), (self._Y, deviations), (self._rows, rows)]
+        refused = self._store.refused(rows)
+        columns = [
+            (self._X, points),
+            (self._single, single),
+            (self._Y, deviations),
+            (self._refused, refused),
+            (self._rows, rows),
+        ]
         hidden = np.where(self._scales.observed(deviations), 0.0, np.inf)
         for column, values in (*columns, *zip(self._hidden, hidden.T, strict=True)):
             column.extend(values)
@@ -138,10 +164,9 @@ class OutcomeIndex:
             newest = slice(max(0, len(self._rows) - self._searched), None)
             X, single, Y = (column.rows[newest] for column in (self._X, self._single, self._Y))
             hidden = [column.rows[newest] for column in self._hidden]
-            self._snapshot = ObservedTrials.of(X, single, self._fits_single, Y, hidden)
+            refused = self._refused.rows[newest]
+            self._snapshot = ObservedTrials.of(X, single, self._fits_single, Y, hidden, refused)
         return self._snapshot
 
     def _usable(self, rows: Indices) -> Indices:
-        executed = rows[self._store.executed(rows)]
-        seen = self._scales.observed(self._store.outcomes[executed])
-        return np.asarray(executed[seen.any(axis=1)])
+        return np.asarray(rows[self._store.tried(rows)])

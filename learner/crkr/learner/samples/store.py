@@ -20,6 +20,7 @@ __all__ = ["SampleStore"]
 _TRIAL: Final = KINDS.index("trial")
 _DEMONSTRATION: Final = KINDS.index("demonstration")
 _EVALUATION: Final = KINDS.index("evaluation")
+_FAILED: Final = KINDS.index("failed")
 
 
 @final
@@ -165,11 +166,16 @@ class SampleStore:
         eligible: NDArray[np.bool_] = (tried | (kinds == _DEMONSTRATION)) & ~self._removed.rows[rows]
         return eligible
 
-    def executed(self, rows: Indices) -> NDArray[np.bool_]:
+    def tried(self, rows: Indices) -> NDArray[np.bool_]:
         """Which of these rows may tell what a goal leads to: all but the judged and the removed ones."""
         judged = self._kinds.rows[rows] == _EVALUATION
-        executed: NDArray[np.bool_] = ~(judged | self._removed.rows[rows])
-        return executed
+        tried: NDArray[np.bool_] = ~(judged | self._removed.rows[rows])
+        return tried
+
+    def refused(self, rows: Indices) -> NDArray[np.bool_]:
+        """Which of these rows are goals that were refused or could not be measured (kind "failed")."""
+        refused: NDArray[np.bool_] = self._kinds.rows[rows] == _FAILED
+        return refused
 
     def demonstrations(self) -> Indices:
         """Rows of the demonstrations that are not removed."""

@@ -11,6 +11,7 @@ from uuid import UUID
 import numpy as np
 
 from crkr.learner.exploration.explorer import Explorer, GaussianExplorer
+from crkr.learner.exploration.space_filling import space_filling
 from crkr.learner.parameters import Parameters
 from crkr.learner.regression import KernelMaker, Regression
 from crkr.protocol import Array, Invalid, NoSamples, NovelState, Prediction, check_states, id_from_wire
@@ -34,6 +35,7 @@ class Model:
         costs: (m,) their costs.
         regression: Posterior of the scaled goals; None while there is no active sample.
         explorer: Chooses the goals.
+        tried: How many trials were reported, successes or not.
     """
 
     version: int
@@ -44,6 +46,7 @@ class Model:
     costs: Array
     regression: Regression | None
     explorer: Explorer
+    tried: int = 0
 
     @classmethod
     def create(
@@ -57,6 +60,7 @@ class Model:
         previous: Model | None = None,
         explorer: Explorer | None = None,
         matrix: KernelMaker | None = None,
+        tried: int = 0,
     ) -> Model:
         """Fits the regression to these samples, O(m^3); `previous` may save most of it where samples were only added.
 
@@ -72,11 +76,11 @@ class Model:
             earlier, noise = previous.regression if previous is not None else None, parameters.noise(costs)
             regression = Regression.fit(kernel, kernel.standardise(states), scaled, noise, earlier, matrix)
         explorer = explorer or GaussianExplorer(parameters.seed, parameters.low, parameters.high)
-        return cls(version, parameters, tuple(ids), states, goals, costs, regression, explorer)
+        return cls(version, parameters, tuple(ids), states, goals, costs, regression, explorer, tried)
 
-    def at_version(self, version: int, explorer: Explorer) -> Model:
+    def at_version(self, version: int, explorer: Explorer, tried: int) -> Model:
         """The same regression after events that did not change it."""
-        return replace(self, version=version, explorer=explorer)
+        return replace(self, version=version, explorer=explorer, tried=tried)
 
     @property
     def active(self) -> int:
@@ -113,10 +117,10 @@ class Model:
     def answer(self, states: Array, explore: bool, ids: list[UUID]) -> Prediction:
         """The same as `predict`, for states (d,) or (b, d) and ids that were checked before."""
         regression, own = self.regression, self.parameters
-        if regression is None:
-            raise NoSamples(f"task {own.task!r} has no active sample; report a demonstration or a success first")
         z = own.kernel.standardise(states)
-        if z.ndim == 1:
+        if regression is None:
+            mean, sigmas, novelty = self._prior(z, explore)
+        elif z.ndim == 1:
             mean, variance, prior = regression.at(z)
             sigmas = own.scales * (own.explore_scale * math.sqrt(variance + own.exploration_floor))
             novelty = np.array(min(variance / prior, 1.0))
@@ -128,11 +132,14 @@ class Model:
             _refuse_novel(novelty, own.novelty_limit, own.task)
         means = np.multiply(mean, own.scales, out=mean)
         means += own.prior
-        if explore:
-            goals, corrected, outcome, deviation = self.explorer.draw(states, means, sigmas, ids)
+        if explore and (self.tried < own.start.count or not (self.explorer.guides or regression)):
+            goals = space_filling(own.seed, ids, self.tried, own.low, own.high).reshape(means.shape)
+            corrected = outcome = deviation = chance = None
+        elif explore:
+            goals, corrected, outcome, deviation, chance = self.explorer.draw(states, means, sigmas, ids)
         else:
-            goals, corrected, outcome, deviation = self.explorer.best(states, means, sigmas)
-        for array in (goals, means, sigmas, novelty, corrected, outcome, deviation):
+            goals, corrected, outcome, deviation, chance = self.explorer.best(states, means, sigmas)
+        for array in (goals, means, sigmas, novelty, corrected, outcome, deviation, chance):
             if array is not None:
                 array.setflags(write=False)
         policy = "explore" if explore else "mean"
@@ -140,8 +147,21 @@ class Model:
             policy = "corrected"
         return Prediction(
             states, goals, means, sigmas, novelty, ids, self.version, len(self.ids), policy, outcome, deviation,
-            corrected=corrected,
+            corrected=corrected, success_probability=chance,
         )  # fmt: skip
+
+    def _prior(self, z: Array, explore: bool) -> tuple[Array, Array, Array]:
+        """Scaled means, sigmas and novelties while no sample is active: outcomes alone guide, or space is filled.
+
+        Raises:
+            NoSamples: Nothing is known yet, and nothing is to be explored.
+        """
+        own = self.parameters
+        if not self.explorer.guides and (own.start.type == "demonstrations" or not explore):
+            raise NoSamples(f"task {own.task!r} has no active sample; report a demonstration or a success first")
+        shape = (*z.shape[:-1], len(own.scales))
+        anywhere = np.maximum(own.scales, own.high / 4 - own.low / 4)
+        return np.zeros(shape), np.broadcast_to(anywhere, shape).copy(), np.ones(z.shape[:-1])
 
     def to_wire(self) -> dict[str, Any]:
         """The model as data, as the `model` query returns it."""

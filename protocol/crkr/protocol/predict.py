@@ -135,6 +135,7 @@ class Prediction:
     predicted_outcome_sd: Array | None = None
     compute_us: int = 0
     corrected: NDArray[np.bool_] | None = None
+    success_probability: Array | None = None
 
     @property
     def goal(self) -> Array:

@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final, final
 
-from crkr.protocol.checks import choice, integer, number
+from crkr.protocol.checks import choice, flag, integer, number
 from crkr.protocol.errors import Invalid
 
-__all__ = ["LARGEST", "Exploration", "KernelSettings"]
+__all__ = ["EARLIER_EXPLORATION", "LARGEST", "Exploration", "KernelSettings", "Start"]
 
 LARGEST: Final = 1e6  # of a setting in scaled units: beyond, products overflow and answers stop being numbers
 MOST_TRIALS: Final = 20_000  # that are searched for the nearest
@@ -62,6 +62,7 @@ class Exploration:
         gate: Predicted outcome, in tolerances, above which the mean is corrected.
         model: "gp", local Gaussian processes.
         candidates: Goals that an answer without exploration is chosen among, beside the mean and the corrected one.
+        drift: Whether the outcome model restarts by itself where the robot has changed.
     """
 
     type: str = "gaussian"
@@ -73,6 +74,7 @@ class Exploration:
     gate: float = 1.0
     model: str = "gp"
     candidates: int = 32
+    drift: bool = True
 
     @classmethod
     def from_dict(cls, value: object) -> Exploration:
@@ -91,4 +93,35 @@ class Exploration:
             number(entry.get("gate", 1.0), "exploration.gate", low=0.0),
             choice(entry.get("model", "gp"), "exploration.model", ("gp",)),
             integer(entry.get("candidates", 32), "exploration.candidates", low=1, high=1000),
+            flag(entry.get("drift", True), "exploration.drift"),
+        )
+
+
+# What version 0.1 filled in where a specification said nothing.
+EARLIER_EXPLORATION: Final = Exploration(
+    "outcome", temperature=(0.1, 0.5), neighbours=60, iterations=2, min_trials=20, gate=2.0
+)
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Start:
+    """What is explored before anything succeeded.
+
+    Attributes:
+        type: "space-filling": a low-discrepancy sequence over the goal's bounds, until outcomes or successes guide; or
+            "demonstrations": nothing, `NO_SAMPLES` asks for a demonstration.
+        count: Trials that fill space even where there is more to go by.
+    """
+
+    type: str = "space-filling"
+    count: int = 0
+
+    @classmethod
+    def from_dict(cls, value: object) -> Start:
+        """Reads a spec's `start`; raises `Invalid`."""
+        entry = _map(value, "start")
+        return cls(
+            choice(entry.get("type", "space-filling"), "start.type", ("space-filling", "demonstrations")),
+            integer(entry.get("count", 0), "start.count", low=0, high=MOST_TRIALS),
         )

@@ -29,6 +29,8 @@ from crkr.learner.exploration.outcome_index import ObservedTrials
 from crkr.learner.exploration.outcome_model import OutcomeModel, Prospect
 from crkr.learner.exploration.outcome_posterior import Posterior, condition_within
 from crkr.learner.exploration.outcome_scales import OutcomeScales
+from crkr.learner.exploration.prequential import features
+from crkr.learner.exploration.success import SuccessCurve
 from crkr.learner.selection.anms_batch import Indices
 from crkr.protocol import Array, Exploration, TaskSpec
 
@@ -53,6 +55,8 @@ class OutcomeExplorer:
         scales: The task's units.
         trials: What was tried so far.
         groups: Those groups of outcomes that were observed in `min_trials` trials or more; others are not modelled.
+        curve: Tells P(success) of what a goal is expected to lead to; None: not known yet.
+        spread: (q,) factors that calibrate the predicted standard deviations; None: they are taken as they are.
     """
 
     plain: GaussianExplorer
@@ -60,17 +64,26 @@ class OutcomeExplorer:
     scales: OutcomeScales
     trials: ObservedTrials
     groups: tuple[int, ...]
+    curve: SuccessCurve | None = None
+    spread: Array | None = None
 
     @classmethod
     def of(cls, spec: TaskSpec, scales: OutcomeScales, trials: ObservedTrials) -> OutcomeExplorer:
         """That of a task; `with_trials` gives later ones."""
         return cls(GaussianExplorer.of(spec), spec.exploration, scales, trials, ()).with_trials(trials)
 
-    def with_trials(self, trials: ObservedTrials) -> OutcomeExplorer:
-        """The same with other trials to look up."""
+    def with_trials(
+        self, trials: ObservedTrials, curve: SuccessCurve | None = None, spread: Array | None = None
+    ) -> OutcomeExplorer:
+        """The same with other trials to look up, and what they say of success."""
         groups = range(len(self.scales.groups))
         enough = tuple(group for group in groups if trials.counts[group] >= self.settings.min_trials)
-        return replace(self, trials=trials, groups=enough)
+        return replace(self, trials=trials, groups=enough, curve=curve, spread=spread)
+
+    @property
+    def guides(self) -> bool:
+        """Once enough outcomes were observed."""
+        return bool(self.groups)
 
     @property
     def searched(self) -> int:
@@ -110,7 +123,7 @@ class OutcomeExplorer:
         fine = (np.abs(seen.o).max(axis=2) <= self.settings.gate) & (seen.executed >= _SAFE)
         off = np.flatnonzero(~fine[:, 0])
         scaled, raw, variance = m.copy(), seen.raw[:, 0].copy(), seen.variance[:, 0].copy()
-        corrected = np.zeros(len(m), dtype=np.bool_)
+        corrected, chance = np.zeros(len(m), dtype=np.bool_), self._chance(seen, np.zeros(len(m), dtype=np.int64))
         if len(off):
             for rows, posterior, near in self._conditioned(z[off], m[off], spread[off], model.of(off)):
                 candidates = self._candidates(m[off[rows]], posterior)
@@ -118,20 +131,23 @@ class OutcomeExplorer:
                 chosen, row, where = seen.score.argmax(axis=1), np.arange(len(rows)), off[rows]
                 scaled[where], corrected[where] = candidates[row, chosen], chosen != 0
                 raw[where], variance[where] = seen.raw[row, chosen], seen.variance[row, chosen]
+                chance[where] = self._chance(seen, chosen)
         goals = self._goals(scaled)
         plain = np.clip(means, self.plain.low, self.plain.high)
         goals[~corrected] = plain[~corrected]
-        return self._choice(goals, corrected, model.entries, raw, variance)
+        return self._choice(goals, corrected, model.entries, raw, variance, chance)
 
     def _draw(self, states: Array, means: Array, sigmas: Array, ids: Sequence[UUID]) -> Choice:
         z, m, spread = self._prior(states, means, sigmas)
         model = self._model(z, m)
         drawn, raw, variance = np.empty_like(m), *np.empty((2, len(m), len(model.entries)))
+        chance = np.empty(len(m))
         for rows, posterior, near in self._conditioned(z, m, spread, model):
             drawn[rows], seen = self._drawn(posterior, near, [ids[row] for row in rows.tolist()])
             raw[rows], variance[rows] = seen.raw[:, 0], seen.variance[:, 0]
+            chance[rows] = self._chance(seen, np.zeros(len(rows), dtype=np.int64))
         nowhere = np.zeros(len(m), dtype=np.bool_)
-        return self._choice(self._goals(drawn), nowhere, model.entries, raw, variance)
+        return self._choice(self._goals(drawn), nowhere, model.entries, raw, variance, chance)
 
     def _prior(self, states: Array, means: Array, sigmas: Array) -> tuple[Array, Array, Array]:
         """States in the metric, scaled means, and how far these may be moved."""
@@ -204,13 +220,22 @@ class OutcomeExplorer:
         goals = self.scales.middle + self.scales.scales * scaled
         return np.minimum(np.maximum(goals, self.plain.low), self.plain.high)
 
-    def _choice(self, goals: Array, corrected: Any, entries: Any, raw: Array, variance: Array) -> Choice:
+    def _chance(self, seen: Prospect, chosen: Indices) -> Array:
+        """(b,) P(success) of the goal chosen at each state; NaN where nothing is known."""
+        looked_at = features(seen)[np.arange(len(chosen)), chosen]
+        return np.full(len(chosen), np.nan) if self.curve is None else self.curve.at(looked_at)
+
+    def _choice(
+        self, goals: Array, corrected: Any, entries: Indices, raw: Array, variance: Array, chance: Array
+    ) -> Choice:
         own = self.scales
         predicted, deviation = np.full((2, len(goals), len(own.target)), np.nan)
         with np.errstate(over="ignore"):
             predicted[:, entries] = own.target[entries] + own.tolerance[entries] * raw
             deviation[:, entries] = own.tolerance[entries] * np.sqrt(variance)
-        return Choice(goals, corrected, predicted, deviation)
+            if self.spread is not None:
+                deviation *= self.spread
+        return Choice(goals, corrected, predicted, deviation, chance)
 
 
 @lru_cache(maxsize=64)

@@ -103,10 +103,14 @@ class OutcomeIndex:
         scales: The task's.
         store: The trials.
         searched: How many of the newest are looked at.
+
+    Attributes:
+        start: First row of the store that counts.
     """
 
     def __init__(self, scales: OutcomeScales, store: SampleStore, searched: int = SEARCHED) -> None:
         self._scales, self._store, self._searched = scales, store, searched
+        self.start = 0
         self._clear()
 
     def _clear(self) -> None:
@@ -123,7 +127,7 @@ class OutcomeIndex:
 
     def extend(self, rows: Indices) -> bool:
         """Takes note of new rows of the store; whether any of them counts."""
-        rows = self._usable(rows)
+        rows = self.usable(rows)
         if not len(rows):
             return False
         if len(self._rows) + len(rows) > 2 * self._searched:
@@ -152,11 +156,10 @@ class OutcomeIndex:
         position = int(np.searchsorted(self._rows.rows, row))
         return position < len(self._rows) and bool(self._rows.rows[position] == row)
 
-    def rebuild(self) -> None:
-        """Starts again from the store."""
-        usable = self._usable(np.arange(len(self._store)))
+    def rebuild(self, rows: Indices) -> None:
+        """Starts again with some rows of the store."""
         self._clear()
-        self.extend(usable[-self._searched :])
+        self.extend(rows[-self._searched :])
 
     def snapshot(self) -> ObservedTrials:
         """What is searched from now on; later changes do not show in it."""
@@ -168,5 +171,7 @@ class OutcomeIndex:
             self._snapshot = ObservedTrials.of(X, single, self._fits_single, Y, hidden, refused)
         return self._snapshot
 
-    def _usable(self, rows: Indices) -> Indices:
+    def usable(self, rows: Indices) -> Indices:
+        """Those of some rows that tell what a goal leads to, from the row `start` on."""
+        rows = rows[rows >= self.start]
         return np.asarray(rows[self._store.tried(rows)])

@@ -177,9 +177,18 @@ class SampleStore:
         refused: NDArray[np.bool_] = self._kinds.rows[rows] == _FAILED
         return refused
 
+    def count_tried(self, rows: Indices) -> int:
+        """How many of these rows are trials, executed or refused."""
+        kinds = self._kinds.rows[rows]
+        return int(np.count_nonzero((kinds == _TRIAL) | (kinds == _FAILED)))
+
     def demonstrations(self) -> Indices:
         """Rows of the demonstrations that are not removed."""
         return np.flatnonzero((self._kinds.rows == _DEMONSTRATION) & ~self._removed.rows)
+
+    def succeeded(self, row: int) -> bool:
+        """Whether this row's trial did what was wanted."""
+        return bool(self._success.rows[row])
 
     def is_demonstration(self, row: int) -> bool:
         """Whether this row is one."""

@@ -1,0 +1,152 @@
+"""What each trial was expected to do before it was learned from: prequential predictions [Dawid1984].
+
+They say how far the outcome model may be believed: the success curve is fitted to them, and a change of the robot shows
+in their residuals. A trial's prediction rests on the trials before it in the log only, so that it does not matter how
+trials were grouped on their way here.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Final, NamedTuple, final
+
+import numpy as np
+
+from crkr.learner.exploration.outcome_index import ObservedTrials
+from crkr.learner.exploration.outcome_model import OutcomeModel, Prospect
+from crkr.learner.exploration.outcome_scales import GOAL_SHARE, OutcomeScales
+from crkr.learner.exploration.success import SuccessCurve
+from crkr.protocol import Array, Exploration
+
+__all__ = ["PrequentialRecord", "features"]
+
+_KEPT: Final = 400
+_CURVE: Final = 200  # newest trials that the success curve is fitted to
+_EVERY: Final = 10  # trials between two fits of it
+_PRIOR: Final = np.array([2.0, 1.0, 0.0, 1.0])  # of the curve's weights
+_SPREAD: Final = 1.5
+_FEWEST: Final = 20  # residuals of an entry, below which its standard deviation is taken as it is
+_NORMAL_90: Final = 1.6449
+_SPREADS: Final = (0.1, 10.0)
+
+# The CUSUM of the squared standardised residuals. Constants as in docs/outcomes.md.
+_RESIDUAL_NOISE: Final = 0.05
+_LARGEST: Final = 9.0
+_NEWEST: Final = 20  # not part of what is usual
+_ALLOWANCE: Final = 1.5
+_LEAST_USUAL: Final = 0.5
+_ALARM: Final = 12.0
+
+
+class Expected(NamedTuple):
+    """One trial's record.
+
+    Attributes:
+        features: (f,) of the success curve; NaN where nothing was modelled yet.
+        success: What it came to.
+        residual: Mean squared standardised residual of its outcome; NaN where none was predicted and observed.
+        off: (q,) standardised residuals of the entries; NaN likewise.
+    """
+
+    features: Array
+    success: bool
+    residual: float
+    off: Array
+
+
+def features(seen: Prospect) -> Array:
+    """(b, c, 4) what the success curve looks at."""
+    spread = 1.0 + seen.variance
+    missed, unsure = -0.5 * (seen.o**2 / spread).sum(axis=-1), -0.5 * np.log(spread).sum(axis=-1)
+    return np.stack([np.ones_like(missed), missed, unsure, seen.executed], axis=-1)
+
+
+@final
+class PrequentialRecord:
+    """The newest trials' expectations.
+
+    Attributes:
+        curve: Tells P(success); None: not known yet.
+        spread: (q,) by which predicted standard deviations are multiplied to be calibrated.
+
+    Args:
+        settings: The task's `exploration`.
+        scales: Its units.
+    """
+
+    def __init__(self, settings: Exploration, scales: OutcomeScales) -> None:
+        self._settings, self._scales = settings, scales
+        self.clear()
+
+    def clear(self) -> None:
+        """Forgets all."""
+        self._record: deque[Expected] = deque(maxlen=_KEPT)
+        self._count = 0
+        self._cusum = 0.0
+        self.curve: SuccessCurve | None = None
+        self.spread = np.ones(len(self._scales.target))
+
+    def add(self, before: ObservedTrials, after: ObservedTrials, success: bool) -> None:
+        """Notes a trial, the last one in `after`; `before` has those that it is predicted from."""
+        self._count += 1
+        groups = [
+            group for group in range(len(self._scales.groups)) if before.counts[group] >= self._settings.min_trials
+        ]
+        if groups:
+            d = after.X.shape[1] - len(self._scales.scales)
+            z, goal = after.X[-1:, :d], after.X[-1:, d:] / GOAL_SHARE
+            model = OutcomeModel.near(before, self._scales, groups, z, goal, self._settings.neighbours)
+            seen = model.prospect(goal[:, None])
+            observed = after.Y[-1, model.entries]
+            off = np.full(after.Y.shape[1], np.nan)
+            off[model.entries] = (observed - seen.raw[0, 0]) / np.sqrt(seen.variance[0, 0])
+            residual = np.nan if after.refused[-1] else _residual(seen, observed)
+            self._record.append(Expected(features(seen)[0, 0], success, residual, off))
+            self._watch(residual)
+        if self._record and self._count % _EVERY == 0:
+            self._fit()
+
+    @property
+    def drift_score(self) -> float:
+        """The CUSUM; at 12 the robot is taken to have changed."""
+        return self._cusum
+
+    @property
+    def drifted(self) -> bool:
+        """Whether the residuals say that the robot has changed."""
+        return self._cusum > _ALARM
+
+    def _fit(self) -> None:
+        newest = list(self._record)[-_CURVE:]
+        seen = np.array([one.features for one in newest])
+        self.curve = SuccessCurve.fit(seen, np.array([one.success for one in newest]), _PRIOR, _SPREAD)
+        self.spread = _spread(np.array([one.off for one in newest]))
+
+    def _watch(self, residual: float) -> None:
+        if np.isnan(residual):
+            return
+        earlier = [one.residual for one in list(self._record)[:-_NEWEST] if not np.isnan(one.residual)]
+        usual = max(float(np.mean(earlier)), _LEAST_USUAL) if earlier else 1.0
+        self._cusum = max(0.0, self._cusum + residual - usual - _ALLOWANCE)
+
+
+def _spread(off: Array) -> Array:
+    """(q,) by which standard deviations are multiplied, so that nine of ten residuals (n, q) are within 1.645 of them.
+
+    That is split conformal prediction [Vovk2005] with the residuals of trials that were not learned from yet.
+    """
+    spread = np.ones(off.shape[1])
+    for entry, values in enumerate(off.T):
+        known = np.abs(values[~np.isnan(values)])
+        if len(known) >= _FEWEST:
+            spread[entry] = np.clip(np.quantile(known, 0.9, method="higher") / _NORMAL_90, *_SPREADS)
+    return spread
+
+
+def _residual(seen: Prospect, observed: Array) -> float:
+    known = ~np.isnan(observed)
+    if not known.any():
+        return float("nan")
+    off = observed[known] - seen.raw[0, 0, known]
+    squared = np.minimum(off * off / (seen.variance[0, 0, known] + _RESIDUAL_NOISE), _LARGEST)
+    return float(squared.mean())

@@ -88,7 +88,7 @@ class OutcomeExplorer:
     @property
     def searched(self) -> int:
         """The tried goals, once enough outcomes were observed."""
-        return len(self.trials) if self.groups else 0
+        return len(self.trials) if self.guides else 0
 
     def best(self, states: Array, means: Array, sigmas: Array) -> Choice:
         """The plain goals where they should do, otherwise the candidates of highest score.
@@ -96,13 +96,13 @@ class OutcomeExplorer:
         A plain goal does where every entry of its predicted outcome is within `gate` tolerances and it is likely to be
         executed.
         """
-        if not self.groups:
+        if not self.guides:
             return self.plain.best(states, means, sigmas)
         return self._by_blocks(self._best, states, means, sigmas)
 
     def draw(self, states: Array, means: Array, sigmas: Array, ids: Sequence[UUID]) -> Choice:
         """Draws from N(g, temperature^2 P'), the conditioned prior; the trial id decides the temperature too."""
-        if not self.groups:
+        if not self.guides:
             return self.plain.draw(states, means, sigmas, ids)
         return self._by_blocks(self._draw, states, means, sigmas, ids)
 

@@ -9,7 +9,7 @@ from typing import Final, final
 import numpy as np
 
 from crkr.learner.exploration.outcome_explorer import OutcomeExplorer
-from crkr.learner.exploration.outcome_index import SEARCHED, OutcomeIndex
+from crkr.learner.exploration.outcome_index import OutcomeIndex
 from crkr.learner.exploration.outcome_scales import OutcomeScales
 from crkr.learner.exploration.prequential import PrequentialRecord
 from crkr.learner.samples.store import SampleStore
@@ -55,7 +55,7 @@ class OutcomeLearner:
     def __init__(self, spec: TaskSpec, store: SampleStore) -> None:
         scales = OutcomeScales.of(spec)
         self._store, self._watched = store, spec.exploration.drift
-        self._index = OutcomeIndex(scales, store, SEARCHED)
+        self._index = OutcomeIndex(scales, store)
         self._record = PrequentialRecord(spec.exploration, scales)
         self._restarts = 0
         self._last_restart: int | None = None

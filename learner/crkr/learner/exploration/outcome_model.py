@@ -115,9 +115,14 @@ class OutcomeModel:
     def prospect(self, goals: Array) -> Prospect:
         """What goals (b, c, p) lead to."""
         steps = GOAL_SHARE * (goals - self.centre[:, None])
-        parts = [fit.at(steps) for fit in self.fits]
-        raw, variance = (np.concatenate(part, axis=-1) for part in zip(*parts, strict=True))
+        raw, variance = self._expected(steps)
         return Prospect(self._missed(raw), raw, variance, self.executed(goals))
+
+    def _expected(self, steps: Array) -> tuple[Array, Array]:
+        """Expectations and variances (b, c, m) at steps (b, c, p)."""
+        parts = [fit.at(steps) for fit in self.fits]
+        o, variance = (np.concatenate(part, axis=-1) for part in zip(*parts, strict=True))
+        return o, variance
 
     def executed(self, goals: Array) -> Array:
         """(b, c) log P(executed) of goals (b, c, p)."""
@@ -131,15 +136,13 @@ class OutcomeModel:
     def line(self, goals: Array) -> OutcomeLine:
         """The entries as straight lines at goals (b, p), and one more entry: to be executed."""
         steps = GOAL_SHARE * (goals - self.centre)
-        parts = [(*fit.at(steps[:, None]), fit.slope(steps)) for fit in self.fits]
-        o, variance, J = (
-            np.concatenate(part, axis=-1 if i < 2 else 1) for i, part in enumerate(zip(*parts, strict=True))
-        )
+        o, variance = self._expected(steps[:, None])
         b, _, m = o.shape
         p = goals.shape[1]
         all_o, all_J, R = np.zeros((b, m + 1)), np.zeros((b, m + 1, p)), np.ones((b, m + 1))
         missed = self._missed(o[:, 0])
         all_o[:, :m], R[:, :m] = missed, 1.0 + variance[:, 0]
+        J = np.concatenate([fit.slope(steps) for fit in self.fits], axis=1)
         all_J[:, :m] = np.where(((self.one_sided != 0) & (missed == 0))[..., None], 0.0, GOAL_SHARE * J)
         if self.refusals is not None:
             r = self.refusals.mean(steps[self.risky, None])[:, 0, 0]

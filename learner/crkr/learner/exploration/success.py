@@ -16,10 +16,11 @@ from scipy.special import expit
 
 from crkr.protocol import Array
 
-__all__ = ["SuccessCurve"]
+__all__ = ["SuccessCurve", "SuccessRate"]
 
 _STEPS: Final = 25
 _STILL: Final = 1e-9
+_MORE_TRIALS: Final = 2.0
 _LARGEST: Final = 30.0  # of a feature; a trial further off says no more
 
 
@@ -59,6 +60,30 @@ class SuccessCurve:
     def at(self, features: Array) -> Array:
         """P(success) (...,) of features (..., f)."""
         return np.asarray(expit((bounded(features) * self.weights).sum(axis=-1)))
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class SuccessRate:
+    """How often the newest trials succeeded in states near by; for tasks whose outcomes are not modelled.
+
+    Attributes:
+        Z: (n, d) standardised states of the newest trials, n >= 1.
+        success: (n,) 1 for a success, else 0.
+    """
+
+    Z: Array
+    success: Array
+
+    def at(self, z: Array) -> Array:
+        """P(success) () or (b,) of a trial at standardised states (d,) or (b, d).
+
+        A mean weighted by the squared-exponential kernel, drawn towards the mean of all as if by two more trials.
+        """
+        away = self.Z - (z if z.ndim == 1 else z[:, None])
+        near = np.exp(-0.5 * np.vecdot(away, away))
+        hits = near @ self.success + _MORE_TRIALS * self.success.mean()
+        return np.asarray(hits / (near.sum(axis=-1) + _MORE_TRIALS))
 
 
 def bounded(features: Array) -> Array:

@@ -177,6 +177,11 @@ class SampleStore:
         refused: NDArray[np.bool_] = self._kinds.rows[rows] == _FAILED
         return refused
 
+    def successes(self, rows: Indices) -> NDArray[np.bool_]:
+        """Which of these rows did what was wanted."""
+        success: NDArray[np.bool_] = self._success.rows[rows]
+        return success
+
     def count_tried(self, rows: Indices) -> int:
         """How many of these rows are trials, executed or refused."""
         kinds = self._kinds.rows[rows]

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
-from typing import Any, final
+from typing import Any, Final, final
 from uuid import UUID
 
 import numpy as np
 
 from crkr.learner.exploration.explorer import Explorer, GaussianExplorer
 from crkr.learner.exploration.outcome_learner import Drift, OutcomeLearner
+from crkr.learner.exploration.success import SuccessRate
 from crkr.learner.kernel import Kernel
 from crkr.learner.kernel_matrix import KernelMatrix
 from crkr.learner.model import Model
@@ -25,6 +26,8 @@ from crkr.protocol import Array, Conflict, Invalid, TaskSpec, Trial, id_from_wir
 from crkr.protocol.checks import finite_array, number
 
 __all__ = ["Knowledge"]
+
+_NEWEST: Final = 200  # trials that say how often goals succeed
 
 
 @final
@@ -250,11 +253,20 @@ class Knowledge:
             self._rows = self.selection.active
             self.model = self._fitted(self.model)
         else:
-            self.model = self.model.at_version(self.version, self._explorer, self.tried)
+            self.model = self.model.at_version(self.version, self._explorer, self.tried, self._rate())
 
     @property
     def _explorer(self) -> Explorer:
         return self._gaussian if self._guided is None else self._guided.explorer
+
+    def _rate(self) -> SuccessRate | None:
+        """What the newest trials say of success; nothing where outcomes say more."""
+        if self._guided is not None:
+            return None
+        rows = self.store.newest_tried(_NEWEST)
+        if not len(rows):
+            return None
+        return SuccessRate(self._kernel.standardise(self.store.states[rows]), self.store.successes(rows).astype(float))
 
     def _prior(self) -> Array:
         rows = self.store.demonstrations()
@@ -281,4 +293,5 @@ class Knowledge:
             self._explorer,
             matrix,
             self.tried,
+            self._rate(),
         )

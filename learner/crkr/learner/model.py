@@ -12,6 +12,7 @@ import numpy as np
 
 from crkr.learner.exploration.explorer import Explorer, GaussianExplorer
 from crkr.learner.exploration.space_filling import space_filling
+from crkr.learner.exploration.success import SuccessRate
 from crkr.learner.parameters import Parameters
 from crkr.learner.regression import KernelMaker, Regression
 from crkr.protocol import Array, Invalid, NoSamples, NovelState, Prediction, check_states, id_from_wire
@@ -36,6 +37,7 @@ class Model:
         regression: Posterior of the scaled goals; None while there is no active sample.
         explorer: Chooses the goals.
         tried: How many trials were reported, successes or not.
+        rate: Tells P(success) where the explorer does not; None: no trial was reported yet.
     """
 
     version: int
@@ -47,6 +49,7 @@ class Model:
     regression: Regression | None
     explorer: Explorer
     tried: int = 0
+    rate: SuccessRate | None = None
 
     @classmethod
     def create(
@@ -61,6 +64,7 @@ class Model:
         explorer: Explorer | None = None,
         matrix: KernelMaker | None = None,
         tried: int = 0,
+        rate: SuccessRate | None = None,
     ) -> Model:
         """Fits the regression to these samples, O(m^3); `previous` may save most of it where samples were only added.
 
@@ -76,11 +80,11 @@ class Model:
             earlier, noise = previous.regression if previous is not None else None, parameters.noise(costs)
             regression = Regression.fit(kernel, kernel.standardise(states), scaled, noise, earlier, matrix)
         explorer = explorer or GaussianExplorer(parameters.seed, parameters.low, parameters.high)
-        return cls(version, parameters, tuple(ids), states, goals, costs, regression, explorer, tried)
+        return cls(version, parameters, tuple(ids), states, goals, costs, regression, explorer, tried, rate)
 
-    def at_version(self, version: int, explorer: Explorer, tried: int) -> Model:
+    def at_version(self, version: int, explorer: Explorer, tried: int, rate: SuccessRate | None) -> Model:
         """The same regression after events that did not change it."""
-        return replace(self, version=version, explorer=explorer, tried=tried)
+        return replace(self, version=version, explorer=explorer, tried=tried, rate=rate)
 
     @property
     def active(self) -> int:
@@ -139,6 +143,8 @@ class Model:
             goals, corrected, outcome, deviation, chance = self.explorer.draw(states, means, sigmas, ids)
         else:
             goals, corrected, outcome, deviation, chance = self.explorer.best(states, means, sigmas)
+        if chance is None and self.rate is not None:
+            chance = self.rate.at(z)
         for array in (goals, means, sigmas, novelty, corrected, outcome, deviation, chance):
             if array is not None:
                 array.setflags(write=False)

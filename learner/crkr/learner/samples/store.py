@@ -182,6 +182,18 @@ class SampleStore:
         success: NDArray[np.bool_] = self._success.rows[rows]
         return success
 
+    def newest_tried(self, count: int) -> Indices:
+        """Rows of the newest trials, executed or refused, that are not removed; at most `count`, ascending."""
+        found: list[Indices] = []
+        missing, end = count, len(self)
+        while missing > 0 and end > 0:
+            rows = np.arange(max(0, end - 2 * count), end)
+            kinds = self._kinds.rows[rows]
+            rows = rows[((kinds == _TRIAL) | (kinds == _FAILED)) & ~self._removed.rows[rows]]
+            found.insert(0, rows[-missing:])
+            missing, end = missing - len(rows), end - 2 * count
+        return np.concatenate(found) if found else np.zeros(0, dtype=np.int64)
+
     def count_tried(self, rows: Indices) -> int:
         """How many of these rows are trials, executed or refused."""
         kinds = self._kinds.rows[rows]

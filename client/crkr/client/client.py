@@ -57,7 +57,9 @@ class Client:
         self._rpc: Final = Rpc(Transport(connection), timeout_s)
 
     def info(self, *, timeout_s: float | None = None) -> dict[str, Any]:
-        """The server: `protocol`, `version`, `server_id`, `started` [unix s], `tasks` (names), `limits`.
+        """The server: `protocol`, `version`, `server_id`, `started` [unix s], `tasks`, `task_count`, `limits`.
+
+        `tasks` has the names of the first 1000 tasks; `Client.tasks` gives all of them.
 
         Raises:
             Unavailable: No answer in time.
@@ -71,10 +73,19 @@ class Client:
         return self.info(timeout_s=patience_s)
 
     def tasks(self, *, timeout_s: float | None = None) -> list[TaskSummary]:
-        """Every task: `spec` (in force), `samples`, `active`, `model_version`, `archived`."""
-        reply = self._rpc.call(rpc_key("tasks"), {}, timeout_s)
-        with reading("tasks"):
-            return [_summary(entry) for entry in required(reply, "tasks")]
+        """Every task: `spec` (in force), `samples`, `active`, `model_version`, `archived`.
+
+        Args:
+            timeout_s: Deadline of all pages together [s].
+
+        Raises:
+            Unavailable: Some of the list did not come by the deadline.
+        """
+        found: list[TaskSummary] = []
+        for page in self._rpc.pages("tasks", self._rpc.deadline(timeout_s)):
+            with reading("tasks"):
+                found += [_summary(entry) for entry in page]
+        return found
 
     def create_task(self, spec: TaskSpec | Mapping[str, Any], *, timeout_s: float | None = None) -> Task:
         """Makes a task, or finds it: the same specification again is fine, description aside.

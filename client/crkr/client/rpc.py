@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from types import TracebackType
 from typing import Any, Final, final
 from uuid import UUID
 
 from crkr.client.transport import Transport
 from crkr.protocol import CrkrError, Internal, Invalid, array_from_wire, id_from_wire, pack, rpc_key, unpack
+from crkr.protocol.checks import entries, integer
 
 __all__ = ["Rpc", "plain", "positive", "reading"]
 
 # Verbs whose work may take longer than one ordinary attempt: asking again would only double it.
 _PATIENT: Final = frozenset({"recost", "remove", "refit", "configure", "archive"})
+_PAGE: Final = 1000  # tasks
 
 
 @final
@@ -34,8 +36,10 @@ class Rpc:
         """The moment to give up [s, monotonic clock]; raises `Invalid` for a time that is not positive."""
         return time.monotonic() + (self.timeout_s if timeout_s is None else positive(timeout_s))
 
-    def call(self, key: str, message: Mapping[str, Any], timeout_s: float | None = None) -> dict[str, Any]:
-        """Sends a message and returns the answer; the verb is the key's last word.
+    def call(
+        self, key: str, message: Mapping[str, Any], timeout_s: float | None = None, *, optional: bool = False
+    ) -> dict[str, Any]:
+        """Sends a message and returns the answer; the verb is the key's last word. For `optional` see `exchange`.
 
         Raises:
             Unavailable: No answer in time.
@@ -43,23 +47,61 @@ class Rpc:
         """
         verb = key.rpartition("/")[2]
         patient = verb in _PATIENT or message.get("wait") is True
-        reply = self.exchange(key, verb, pack(message), timeout_s, patient=patient)
+        reply = self.exchange(key, verb, pack(message), timeout_s, patient=patient, optional=optional)
         with reading(verb):
             return unpack(reply)
 
     def exchange(
-        self, key: str, verb: str, payload: bytes, timeout_s: float | None = None, *, patient: bool = False
+        self,
+        key: str,
+        verb: str,
+        payload: bytes,
+        timeout_s: float | None = None,
+        *,
+        patient: bool = False,
+        optional: bool = False,
     ) -> bytes:
-        """The same in bytes; `patient` where one attempt may take all the time. Raises what `call` does."""
+        """The same in bytes. Raises what `call` does.
+
+        Args:
+            key: Where to.
+            verb: The key's last word.
+            payload: The message.
+            timeout_s: Deadline [s].
+            patient: One attempt may take all the time.
+            optional: Raise `Unsupported` at once where nobody serves the key, as for a verb that is not offered.
+        """
+        deadline = self.deadline(timeout_s)
         try:
-            return self.transport.query(key, verb, payload, self.deadline(timeout_s), patient=patient)
+            return self.transport.query(key, verb, payload, deadline, patient=patient, optional=optional)
         except CrkrError as error:
             error.details = plain(error.details)
             raise
 
+    def pages(self, verb: str, deadline: float) -> Iterator[list[Any]]:
+        """The server's list of tasks or of their names, a page at a time; an older server sends all at once.
+
+        Args:
+            verb: "tasks" or "info".
+            deadline: For all pages [s, monotonic clock].
+
+        Raises:
+            Unavailable: Some page did not come by the deadline.
+        """
+        after: int | None = 0
+        while after is not None:
+            left = max(deadline - time.monotonic(), 0.001)
+            reply = self.call(rpc_key(verb), {"after": after, "limit": _PAGE}, left)
+            with reading(verb):
+                yield entries(reply, "tasks")
+                following = reply.get("next")
+                if following is not None and integer(following, "next") <= after:
+                    raise Invalid(f"the page after {after} is followed by that after {following}")
+                after = following
+
     def server_id(self, timeout_s: float) -> UUID:
         """Which server answers; another id may come with other data, under the same names and versions."""
-        reply = self.call(rpc_key("info"), {}, timeout_s)
+        reply = self.call(rpc_key("info"), {"limit": 0}, timeout_s)  # without the names of its tasks
         with reading("info"):
             return id_from_wire(reply.get("server_id"), "server_id")
 

@@ -115,7 +115,7 @@ class Server:
             return dict.fromkeys(verbs.split(), made)
 
         write = lane("write", "report create_task recost remove configure archive", writer.work, MOST_REPORTS, 4096)
-        brief = lane("brief", "info tasks status model", reader.work)
+        brief = lane("brief", "info tasks status spec model", reader.work)
         samples = lane("samples", "samples", reader.work, rests=True)
         explain = lane("explain", "explain", reader.work, rests=True)
         bulk = lane("bulk predict", "predict", predictor.answer)
@@ -128,7 +128,7 @@ class Server:
             served = {verb: routes[verb] for verb in verbs.split()}
             self._intakes.append(Intake(self._session, key, served, self._latencies, self._refuser, predict))
 
-        intake(task_key("*", "*"), "predict report status model samples explain", predictor.answer)
+        intake(task_key("*", "*"), "predict report status spec model samples explain", predictor.answer)
         intake(rpc_key("*"), "info tasks create_task")
         intake(admin_key("*", "*"), "refit recost remove configure archive")
         self._token_key = live_server_key(str(server_id))

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from collections import Counter
 from typing import Any, Final, final
+from uuid import UUID
 
 import numpy as np
 
 from crkr.learner import Learner, Model, TrialColumns
-from crkr.protocol import KINDS, TaskSpec, UnknownTask
+from crkr.protocol import KINDS, TaskSpec, UnknownTask, pack, task_id
 from crkr.server.log import Event, LoggedTrial
 
 __all__ = ["ServedTask", "Tasks", "hyperparameters"]
+
+_MOST_NAMED: Final = 20  # tasks that an error tells of
 
 
 @final
@@ -35,9 +38,11 @@ class ServedTask:
         eligible: Trials that may be learned from.
         fault: Why learning stopped, "" while it goes on.
         damage: What is wrong with a stored row that no prediction rests on, "" where nothing was found.
+        log_id: Names the log that begins with this task's creation, whichever server reads it.
     """
 
     __slots__ = (
+        "_packed",
         "archived",
         "configured",
         "created",
@@ -46,6 +51,7 @@ class ServedTask:
         "eligible",
         "fault",
         "learner",
+        "log_id",
         "model",
         "samples",
         "seq",
@@ -63,11 +69,24 @@ class ServedTask:
         self.samples: Counter[str] = Counter()
         self.eligible = 0
         self.fault = self.damage = ""
+        self.log_id = UUID(int=0)
+        self._packed: tuple[TaskSpec, bytes] | None = None
 
     @property
     def name(self) -> str:
         """Its name in keys."""
         return self.created.name
+
+    def begin(self, creation: Event) -> None:
+        """Notes the first entry of its log."""
+        self.log_id = task_id(self.name, f"log/{creation.time.hex()}")
+
+    def packed_spec(self) -> bytes:
+        """The specification in force as it stands in messages, encoded once."""
+        spec, known = self.spec, self._packed
+        if known is None or known[0] is not spec:
+            known = self._packed = spec, pack(spec.to_dict())
+        return known[1]
 
     def note(self, entry: LoggedTrial | Event) -> None:
         """Counts an entry that the log holds."""
@@ -119,11 +138,22 @@ class Tasks:
         """The task; raises `UnknownTask`."""
         task = self._by_name.get(name)
         if task is None:
-            known = ", ".join(sorted(self._by_name)[:20]) or "none yet"
+            names = list(self._by_name)
+            known = ", ".join(names[:_MOST_NAMED]) or "none yet"
+            more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
             raise UnknownTask(
-                f"no task {name!r} here; there are: {known}; crkr create makes one", details={"task": name}
+                f"no task {name!r} here; there are: {known}{more}; crkr create makes one", details={"task": name}
             )
         return task
+
+    def __len__(self) -> int:
+        return len(self._by_name)
+
+    def page(self, after: int, limit: int) -> tuple[list[ServedTask], int | None]:
+        """At most `limit` tasks past the first `after`, oldest first, and where to go on (None at the end)."""
+        tasks = self.all()
+        end = after + limit
+        return tasks[after:end], end if end < len(tasks) else None
 
     def all(self) -> list[ServedTask]:
         """Every task, oldest first."""

@@ -1,11 +1,14 @@
 """A task found by its name: with one question where the server has the verb for it, from the list where it has not."""
 
+import asyncio
 from collections.abc import Callable
 from typing import Any
 
 import pytest
 
-from crkr.client import Client
+from crkr.client import AsyncClient, Client
+from crkr.client.client import TaskSummary
+from crkr.client.commands.status import named_tasks
 from crkr.protocol import Internal, Invalid, TaskSpec, Unavailable, UnknownTask, unpack
 
 UNSUPPORTED = {"code": "UNSUPPORTED", "message": "verb 'spec' is not offered here"}
@@ -82,11 +85,18 @@ def test_a_list_in_pages_is_read_up_to_the_task(talk: Callable[..., Any]) -> Non
 
 def test_all_tasks_are_listed_page_by_page(talk: Callable[..., Any]) -> None:
     peer = talk(tasks=pages("a", "b", "c", "old", "e"))
+
+    async def awaited() -> list[TaskSummary]:
+        async with AsyncClient(peer.endpoint) as other:
+            return [one async for one in other.iter_tasks()]
+
     with Client(peer.endpoint) as client:
         listed = client.tasks()
+        assert list(client.iter_tasks()) == listed
+    assert asyncio.run(awaited()) == listed
     assert [one["spec"].name for one in listed] == ["a", "b", "c", "old", "e"]
     assert [one["archived"] for one in listed] == [False, False, False, True, False]
-    assert verbs(peer) == ["tasks"] * 3
+    assert verbs(peer) == ["tasks"] * 9
 
 
 @pytest.mark.parametrize("following", [0, -1, "b", True])
@@ -124,3 +134,10 @@ def test_which_server_it_is_is_asked_without_the_names_of_its_tasks(talk: Callab
     with Client(peer.endpoint) as client:
         client._rpc.server_id(5.0)
     assert unpack(peer.queries[0][1]) == {"limit": 0}
+
+
+def test_people_are_told_the_first_names_and_how_many_more_there_are() -> None:
+    names = [f"task-{number}" for number in range(1000)]
+    assert named_tasks({"tasks": names, "task_count": 2000}) == f"{', '.join(names[:20])} and 1980 more: crkr tasks"
+    assert named_tasks({"tasks": names[:3]}) == "task-0, task-1, task-2"  # as a server of version 0.1 tells
+    assert named_tasks({"tasks": []}) == "none yet"

@@ -78,26 +78,24 @@ class Rpc:
             error.details = plain(error.details)
             raise
 
-    def pages(self, verb: str, deadline: float) -> Iterator[list[Any]]:
-        """The server's list of tasks or of their names, a page at a time; an older server sends all at once.
+    def task_page(self, after: int, timeout_s: float | None) -> tuple[list[Any], int | None]:
+        """Entries of the list of tasks past the first `after`, and where to go on (None at the end).
 
-        Args:
-            verb: "tasks" or "info".
-            deadline: For all pages [s, monotonic clock].
-
-        Raises:
-            Unavailable: Some page did not come by the deadline.
+        A server of version 0.1 knows no pages and sends all at once.
         """
+        reply = self.call(rpc_key("tasks"), {"after": after, "limit": _PAGE}, timeout_s)
+        with reading("tasks"):
+            page, following = entries(reply, "tasks"), reply.get("next")
+            if following is not None and integer(following, "next") <= after:
+                raise Invalid(f"the page after {after} is followed by that after {following}")
+            return page, following
+
+    def task_pages(self, deadline: float) -> Iterator[list[Any]]:
+        """Every page of that list, by one deadline [s, monotonic clock]."""
         after: int | None = 0
         while after is not None:
-            left = max(deadline - time.monotonic(), 0.001)
-            reply = self.call(rpc_key(verb), {"after": after, "limit": _PAGE}, left)
-            with reading(verb):
-                yield entries(reply, "tasks")
-                following = reply.get("next")
-                if following is not None and integer(following, "next") <= after:
-                    raise Invalid(f"the page after {after} is followed by that after {following}")
-                after = following
+            page, after = self.task_page(after, max(deadline - time.monotonic(), 0.001))
+            yield page
 
     def server_id(self, timeout_s: float) -> UUID:
         """Which server answers; another id may come with other data, under the same names and versions."""

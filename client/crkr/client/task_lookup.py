@@ -34,7 +34,7 @@ def look_up(rpc: Rpc, name: str, timeout_s: float | None) -> tuple[TaskSpec, boo
 def _listed(rpc: Rpc, name: str, deadline: float) -> Mapping[str, Any]:
     """The task's entry in the list of all."""
     names: list[str] = []
-    for page in rpc.pages("tasks", deadline):
+    for page in rpc.task_pages(deadline):
         with reading("tasks"):
             entries: dict[str, Mapping[str, Any]] = {entry["spec"]["name"]: entry for entry in page}
             if name in entries:

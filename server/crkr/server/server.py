@@ -115,14 +115,15 @@ class Server:
             return dict.fromkeys(verbs.split(), made)
 
         write = lane("write", "report create_task recost remove configure archive", writer.work, MOST_REPORTS, 4096)
-        brief = lane("brief", "info tasks status spec model", reader.work)
+        brief = lane("brief", "info status spec model", reader.work)
+        lists = lane("lists", "tasks", reader.work, rests=True)
         samples = lane("samples", "samples", reader.work, rests=True)
         explain = lane("explain", "explain", reader.work, rests=True)
         bulk = lane("bulk predict", "predict", predictor.answer)
         self._fitting = Fitting(self.tasks, self._learning, writer)
         refit = lane("refit", "refit", self._fitting.work, limit=16)
         self._refit_lane = refit["refit"]
-        routes = {**write, **refit, **brief, **samples, **explain, **bulk}
+        routes = {**write, **refit, **brief, **lists, **samples, **explain, **bulk}
 
         def intake(key: str, verbs: str, predict: Any = None) -> None:
             served = {verb: routes[verb] for verb in verbs.split()}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from itertools import islice
 from typing import Any, Final, final
 from uuid import UUID
 
@@ -121,7 +122,10 @@ def hyperparameters(model: Model) -> dict[str, Any]:
 
 @final
 class Tasks:
-    """All tasks by name. Entries are only ever added, by the writer."""
+    """All tasks by name. Entries are only ever added, by the writer.
+
+    A list made of the entries is made in one step of the interpreter, so that the writer cannot add one meanwhile.
+    """
 
     def __init__(self) -> None:
         self._by_name: dict[str, ServedTask] = {}
@@ -138,9 +142,8 @@ class Tasks:
         """The task; raises `UnknownTask`."""
         task = self._by_name.get(name)
         if task is None:
-            names = list(self._by_name)
-            known = ", ".join(names[:_MOST_NAMED]) or "none yet"
-            more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
+            known = ", ".join(list(islice(self._by_name, _MOST_NAMED))) or "none yet"
+            more = f" and {len(self) - _MOST_NAMED} more" if len(self) > _MOST_NAMED else ""
             raise UnknownTask(
                 f"no task {name!r} here; there are: {known}{more}; crkr create makes one", details={"task": name}
             )
@@ -151,9 +154,8 @@ class Tasks:
 
     def page(self, after: int, limit: int) -> tuple[list[ServedTask], int | None]:
         """At most `limit` tasks past the first `after`, oldest first, and where to go on (None at the end)."""
-        tasks = self.all()
         end = after + limit
-        return tasks[after:end], end if end < len(tasks) else None
+        return list(islice(self._by_name.values(), after, end)), end if end < len(self) else None
 
     def all(self) -> list[ServedTask]:
         """Every task, oldest first."""

@@ -116,9 +116,11 @@ def aside(client: Client, task: Task, file: str) -> Iterator[Any]:
         with task.outbox(file) as outbox:
             outbox.report(state=state, goal=[2.4, -0.2], cost=0.2, success=True, id=ids(task.name, "box", 1))
             outbox.flush(30.0)
-        notice = notices.receive(30.0)
+        seq = task.status()["seq"]
+        while (notice := notices.receive(30.0)) is not None and notice[1]["version"] < seq:
+            pass  # of what was changed before
         yield None if notice is None else [notice[0], notice[1]["version"]]
-        mirror.wait_for(task.status()["seq"], 30.0)
+        mirror.wait_for(seq, 30.0)
         yield bool(np.allclose(mirror.predict(state).goal, task.predict(state).goal, rtol=0, atol=1e-9))
 
     async def awaited() -> list[Any]:

@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 
 from crkr.client import Client
-from crkr.protocol import Unsupported, task_key
+from crkr.protocol import Unavailable, Unsupported, task_key
 
 FOLDER = Path(__file__).parent
 DEADLINE_S = 100.0
@@ -135,3 +135,29 @@ def test_a_log_and_an_outbox_of_the_earlier_version_are_read(
         part[0][1][1] = part[2][1][1] = None
     assert_alike(after, before)
     assert told("now", "deliver", server.endpoint, box) == [6, [0, 0], True]
+
+
+def test_access_control_that_was_set_up_for_the_earlier_version_leaves_tasks_to_be_found(
+    start_server: Start, told: Callable[..., Any], tmp_path: Path
+) -> None:
+    rules = tmp_path / "rules.json5"
+    rules.write_text(
+        """{
+          access_control: {
+            enabled: true,
+            default_permission: "allow",
+            rules: [{
+              id: "new", permission: "deny", flows: ["ingress"], messages: ["query"],
+              key_exprs: ["crkr/@v1/task/*/rpc/spec"],
+            }],
+            subjects: [{id: "all"}],
+            policies: [{rules: ["new"], subjects: ["all"]}],
+          },
+        }"""
+    )
+    endpoint = start_server("--zenoh-config", str(rules)).endpoint
+    with Client(endpoint) as client, pytest.raises(Unavailable):
+        client._rpc.call(task_key("toss", "spec"), {}, 0.3)
+    found = told("now", "converse", endpoint, tmp_path / "box")
+    free = start_server(data=tmp_path / "free").endpoint
+    assert_alike(found, told("now", "converse", free, tmp_path / "free.box"))

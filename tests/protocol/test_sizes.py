@@ -7,6 +7,7 @@ from uuid import UUID
 import numpy as np
 import pytest
 
+from crkr.learner import Learner
 from crkr.protocol import (
     MAX_MESSAGE_BYTES,
     MAX_STATES,
@@ -75,6 +76,20 @@ def test_a_model_of_as_many_samples_as_is_said_fits_and_no_larger_budget_is_acce
     with pytest.raises(Invalid, match=f"at most {most} with") as caught:
         check_model_fits(replace(spec(states, goals), budget=most + 1))
     assert caught.value.details == {"field": "budget", "most": most}
+
+
+@pytest.mark.parametrize(("states", "goals"), [(100, 100), (6, 13)])
+def test_a_model_grows_by_sample_as_is_said(states: int, goals: int) -> None:
+    learner = Learner(replace(spec(states, goals), name="n" * 63))
+    rng = np.random.default_rng(3)
+    sizes = []
+    for _ in range(2):
+        for _ in range(50):
+            learner.report(state=rng.uniform(size=states), goal=rng.uniform(size=goals), cost=0.5, success=True)
+        sizes.append(len(pack(learner.model.to_wire())))
+    each = (sizes[1] - sizes[0]) / 50
+    whole = sizes[1] + each * (most_active(states, goals) - 100)
+    assert 0.99 * MAX_MESSAGE_BYTES < whole <= MAX_MESSAGE_BYTES
 
 
 def test_an_error_that_quotes_much_is_cut() -> None:

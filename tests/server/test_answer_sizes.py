@@ -129,7 +129,7 @@ def test_a_list_that_no_message_holds_says_what_to_ask_instead(start_server: Any
 
 
 def test_more_states_than_an_answer_holds_are_refused_with_how_many_it_does(ask: Ask) -> None:
-    name = f"wide-{uuid4()}"
+    name = f"other-{uuid4()}"
     ask("rpc/create_task", wide(name))
     ask(f"task/{name}/rpc/report", {"trials": [trial(256)], "wait": True})
 
@@ -146,7 +146,7 @@ def test_more_states_than_an_answer_holds_are_refused_with_how_many_it_does(ask:
 
 
 def test_pages_of_trials_end_by_their_bytes(ask: Ask) -> None:
-    name = f"talkative-{uuid4()}"
+    name = f"other-{uuid4()}"
     ask("rpc/create_task", small(name))
     worker = "\U0001f916" * 128
     for _ in range(3):
@@ -165,15 +165,15 @@ def test_pages_of_trials_end_by_their_bytes(ask: Ask) -> None:
 
 
 def test_a_budget_whose_model_no_message_holds_is_refused(ask: Ask) -> None:
-    most = most_active(256, 256)
+    name, most = f"other-{uuid4()}", most_active(256, 256)
     for budget, made in ((most + 1, False), (250, True)):
-        reply = ask("rpc/create_task", wide("held", budget=budget))
+        reply = ask("rpc/create_task", wide(name, budget=budget))
         assert reply.get("created", False) is made
         if not made:
             assert (reply["error"]["code"], reply["error"]["details"]["most"]) == ("INVALID", most)
-    reply = ask("task/held/admin/configure", {"changes": {"budget": most + 1}})
+    reply = ask(f"task/{name}/admin/configure", {"changes": {"budget": most + 1}})
     assert (reply["error"]["code"], reply["error"]["details"]["most"]) == ("INVALID", most)
-    assert ask("task/held/rpc/spec")["spec"]["budget"] == 250
+    assert ask(f"task/{name}/rpc/spec")["spec"]["budget"] == 250
 
 
 def test_a_model_from_an_earlier_log_that_no_message_holds_answers_all_the_same(

@@ -157,7 +157,7 @@ class Reader:
         if model.active > most:  # as an earlier version allowed
             raise Invalid(
                 f"the model of task {request.task!r} has {model.active} active samples, and a message holds {most}; "
-                f"ask for predictions, or lower its budget: crkr configure {request.task} budget={most}",
+                "ask for predictions instead, or lower its budget by `crkr configure`",
                 details={"active": model.active, "most": most},
             )
         request.reply(model.to_wire())

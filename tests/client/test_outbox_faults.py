@@ -157,8 +157,8 @@ def test_a_link_that_carries_no_large_message_in_time_is_given_small_ones(
         key, payload, _ = peer.queries[number]
         if key.endswith("info"):
             return {"server_id": bytes(16)}
-        if key.endswith("tasks"):
-            return {"tasks": [{"spec": specification("lob").to_dict()}]}
+        if key.endswith("spec"):
+            return {"spec": specification("lob").to_dict()}
         if len(payload) > 3000:
             return "silence"
         count = len(unpack(payload)["trials"])

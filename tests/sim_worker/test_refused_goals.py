@@ -38,8 +38,8 @@ class Rogue:
     reported: list[dict[str, Any]] = field(default_factory=list)
 
     def answer(self, verb: str, asked: dict[str, Any]) -> dict[str, Any]:
-        if verb == "tasks":
-            return {"tasks": [{"spec": self.spec}]}
+        if verb == "spec":
+            return {"spec": self.spec}
         if verb == "predict":
             goal = self.goals.pop(0) if len(self.goals) > 1 else self.goals[0]
             rest = {"trial_ids": asked["trial_ids"], "model_version": 1, "active": 1, "policy": "explore"}

@@ -286,6 +286,14 @@ class AsyncClient:
         """As `Client.tasks`."""
         return await self._calls.run(self.blocking.tasks, timeout_s=timeout_s)
 
+    async def iter_tasks(self) -> AsyncIterator[TaskSummary]:
+        """As `Client.iter_tasks`."""
+        after: int | None = 0
+        while after is not None:
+            page, after = await self._calls.run(self.blocking.task_page, after)
+            for entry in page:
+                yield entry
+
     async def create_task(self, spec: TaskSpec | Mapping[str, Any], *, timeout_s: float | None = None) -> AsyncTask:
         """As `Client.create_task`."""
         return AsyncTask(await self._calls.run(self.blocking.create_task, spec, timeout_s=timeout_s), self._calls)

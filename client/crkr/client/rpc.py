@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from types import TracebackType
 from typing import Any, Final, final
 from uuid import UUID
 
 from crkr.client.transport import Transport
 from crkr.protocol import CrkrError, Internal, Invalid, array_from_wire, id_from_wire, pack, rpc_key, unpack
+from crkr.protocol.checks import entries, integer
 
 __all__ = ["Rpc", "plain", "positive", "reading"]
 
 # Verbs whose work may take longer than one ordinary attempt: asking again would only double it.
 _PATIENT: Final = frozenset({"recost", "remove", "refit", "configure", "archive"})
+_PAGE: Final = 1000  # tasks
 
 
 @final
@@ -34,8 +36,10 @@ class Rpc:
         """The moment to give up [s, monotonic clock]; raises `Invalid` for a time that is not positive."""
         return time.monotonic() + (self.timeout_s if timeout_s is None else positive(timeout_s))
 
-    def call(self, key: str, message: Mapping[str, Any], timeout_s: float | None = None) -> dict[str, Any]:
-        """Sends a message and returns the answer; the verb is the key's last word.
+    def call(
+        self, key: str, message: Mapping[str, Any], timeout_s: float | None = None, *, optional: bool = False
+    ) -> dict[str, Any]:
+        """Sends a message and returns the answer; the verb is the key's last word. For `optional` see `exchange`.
 
         Raises:
             Unavailable: No answer in time.
@@ -43,23 +47,59 @@ class Rpc:
         """
         verb = key.rpartition("/")[2]
         patient = verb in _PATIENT or message.get("wait") is True
-        reply = self.exchange(key, verb, pack(message), timeout_s, patient=patient)
+        reply = self.exchange(key, verb, pack(message), timeout_s, patient=patient, optional=optional)
         with reading(verb):
             return unpack(reply)
 
     def exchange(
-        self, key: str, verb: str, payload: bytes, timeout_s: float | None = None, *, patient: bool = False
+        self,
+        key: str,
+        verb: str,
+        payload: bytes,
+        timeout_s: float | None = None,
+        *,
+        patient: bool = False,
+        optional: bool = False,
     ) -> bytes:
-        """The same in bytes; `patient` where one attempt may take all the time. Raises what `call` does."""
+        """The same in bytes. Raises what `call` does.
+
+        Args:
+            key: Where to.
+            verb: The key's last word.
+            payload: The message.
+            timeout_s: Deadline [s].
+            patient: One attempt may take all the time.
+            optional: Raise `Unsupported` at once where nobody serves the key, as for a verb that is not offered.
+        """
+        deadline = self.deadline(timeout_s)
         try:
-            return self.transport.query(key, verb, payload, self.deadline(timeout_s), patient=patient)
+            return self.transport.query(key, verb, payload, deadline, patient=patient, optional=optional)
         except CrkrError as error:
             error.details = plain(error.details)
             raise
 
+    def task_page(self, after: int, timeout_s: float | None) -> tuple[list[Any], int | None]:
+        """Entries of the list of tasks past the first `after`, and where to go on (None at the end).
+
+        A server of version 0.1 knows no pages and sends all at once.
+        """
+        reply = self.call(rpc_key("tasks"), {"after": after, "limit": _PAGE}, timeout_s)
+        with reading("tasks"):
+            page, following = entries(reply, "tasks"), reply.get("next")
+            if following is not None and integer(following, "next") <= after:
+                raise Invalid(f"the page after {after} is followed by that after {following}")
+            return page, following
+
+    def task_pages(self, deadline: float) -> Iterator[list[Any]]:
+        """Every page of that list, by one deadline [s, monotonic clock]."""
+        after: int | None = 0
+        while after is not None:
+            page, after = self.task_page(after, max(deadline - time.monotonic(), 0.001))
+            yield page
+
     def server_id(self, timeout_s: float) -> UUID:
         """Which server answers; another id may come with other data, under the same names and versions."""
-        reply = self.call(rpc_key("info"), {}, timeout_s)
+        reply = self.call(rpc_key("info"), {"limit": 0}, timeout_s)  # without the names of its tasks
         with reading("info"):
             return id_from_wire(reply.get("server_id"), "server_id")
 

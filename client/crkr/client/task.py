@@ -9,9 +9,11 @@ from typing import TYPE_CHECKING, Any, Final, final
 from uuid import UUID
 
 from crkr.client.outbox import Outbox
+from crkr.client.prediction import ask, ask_in_parts
 from crkr.client.presence import Presence
 from crkr.client.rpc import Rpc, plain, reading
 from crkr.client.subscription import TOPICS, Subscription
+from crkr.client.task_lookup import look_up
 from crkr.protocol import (
     MAX_TELEMETRY_BYTES,
     Array,
@@ -24,14 +26,13 @@ from crkr.protocol import (
     StoredTrial,
     TaskSpec,
     Trial,
-    UnknownTask,
     admin_key,
     check_states,
     make_trials,
+    most_states,
     pack,
     pub_key,
     random_ids,
-    rpc_key,
     task_key,
     unpack,
 )
@@ -103,9 +104,9 @@ class Task:
         message = request.to_wire()
         if "trial_ids" not in message:  # a retry must be the same question, so that it gets the same draw
             message["trial_ids"] = random_ids(request.count)
-        reply = self._rpc.call(task_key(self.name, "predict"), message, timeout_s)
-        with reading("predict"):
-            return Prediction.from_wire(reply, request.states)
+        if request.count > (most := most_states(spec)):
+            return ask_in_parts(self._rpc, self.name, request.states, message, most, timeout_s)
+        return ask(self._rpc, self.name, request.states, message, timeout_s)
 
     def _predict_one(self, state: Array, explore: object, worker: object, timeout_s: float | None) -> Prediction:
         """The commonest question, without a map on the way there and back."""
@@ -318,17 +319,8 @@ class Task:
 
     def _look(self, timeout_s: float | None) -> tuple[TaskSpec, bool]:
         """The specification in force, and whether the task is archived."""
-        reply = self._rpc.call(rpc_key("tasks"), {}, timeout_s)
-        with reading("tasks"):
-            entries = {entry["spec"]["name"]: entry for entry in required(reply, "tasks")}
-            if self.name not in entries:
-                names = ", ".join(sorted(entries)) or "none"
-                raise UnknownTask(
-                    f"no task {self.name!r} at {self._rpc.transport.endpoint}; it has: {names}; crkr create makes one"
-                )
-            mine = entries[self.name]
-            self._spec = TaskSpec.from_dict(mine["spec"])
-            return self._spec, mine.get("archived") is True
+        self._spec, archived = look_up(self._rpc, self.name, timeout_s)
+        return self._spec, archived
 
     def _read(self, verb: str, message: Mapping[str, Any], timeout_s: float | None) -> dict[str, Any]:
         reply = self._rpc.call(task_key(self.name, verb), message, timeout_s)

@@ -26,6 +26,7 @@ from crkr.protocol import (
     Invalid,
     ShuttingDown,
     Unavailable,
+    Unsupported,
     check_encoding,
     encoding,
     error_from_wire,
@@ -39,6 +40,7 @@ _FIRST_ATTEMPT_S: Final = 0.5
 _LATER_ATTEMPT_S: Final = 1.0
 _FIRST_PAUSE_S: Final = 0.02
 _LONGEST_PAUSE_S: Final = 0.25
+_UNSERVED: Final = "connected, but nobody serves this key, or the server's access control denies it to this client"
 
 
 class _Unanswered(Exception):
@@ -66,7 +68,9 @@ class Transport:
         """Where the server is."""
         return self.session.connection.endpoint
 
-    def query(self, key: str, kind: str, payload: bytes, deadline: float, *, patient: bool = False) -> bytes:
+    def query(
+        self, key: str, kind: str, payload: bytes, deadline: float, *, patient: bool = False, optional: bool = False
+    ) -> bytes:
         """Sends a query until it is answered.
 
         Args:
@@ -75,10 +79,12 @@ class Transport:
             payload: The message; the same bytes in every attempt.
             deadline: When to give up [s, monotonic clock].
             patient: One attempt may take all the time: for verbs that work long. A lost connection still ends it.
+            optional: Give up at once where nobody serves the key: the caller knows another way.
 
         Raises:
             Invalid: The message is too large.
             Unavailable: No answer in time; whether the request was executed is unknown.
+            Unsupported: Nobody serves an optional key.
             CrkrError: The server's typed error.
         """
         if len(payload) > MAX_MESSAGE_BYTES:
@@ -95,6 +101,8 @@ class Transport:
                 return self._attempt(key, kind, payload, min(limit, remaining))
             except _Unanswered as unanswered:
                 reason = unanswered.reason
+                if optional and reason == _UNSERVED:
+                    raise Unsupported(f"{self.endpoint} does not serve {key} to this client") from unanswered
                 pause = _pause(attempt) if unanswered.pause_s is None else unanswered.pause_s
                 if attempt == 0:
                     _logger.info("%s at %s: %s; trying again", key, self.endpoint, reason)
@@ -127,7 +135,7 @@ class Transport:
             return brief(error)
         if not session.info.routers_zid():
             return "not connected"
-        return "connected, but nobody serves this key, or the server's access control denies it to this client"
+        return _UNSERVED
 
     def _unavailable(self, key: str, tried_s: float, attempts: int, reason: str) -> Unavailable:
         details = {

@@ -13,6 +13,7 @@ from crkr.protocol.codec import (
     encoding,
     id_from_wire,
     pack,
+    pack_around,
     unpack,
 )
 from crkr.protocol.dimensions import GoalDimension, OutcomeEntry, StateDimension
@@ -52,6 +53,7 @@ from crkr.protocol.make_trials import make_trials
 from crkr.protocol.predict import Prediction, PredictRequest, check_states
 from crkr.protocol.report import Receipt, ReportRequest, StoredTrial
 from crkr.protocol.settings import Exploration, KernelSettings
+from crkr.protocol.sizes import check_model_fits, most_active, most_states, most_states_answered
 from crkr.protocol.task_spec import CHANGEABLE, TaskSpec
 from crkr.protocol.telemetry import MAX_TELEMETRY_BYTES, Geom, Trace, geoms_from_wire, geoms_to_wire
 from crkr.protocol.trial import KINDS, Trial
@@ -101,6 +103,7 @@ __all__ = [
     "array_from_wire",
     "array_to_wire",
     "check_encoding",
+    "check_model_fits",
     "check_name",
     "check_states",
     "demonstration_id",
@@ -114,7 +117,11 @@ __all__ = [
     "live_server_key",
     "live_worker_key",
     "make_trials",
+    "most_active",
+    "most_states",
+    "most_states_answered",
     "pack",
+    "pack_around",
     "pub_key",
     "random_ids",
     "rpc_key",

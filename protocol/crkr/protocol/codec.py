@@ -28,6 +28,7 @@ __all__ = [
     "frozen_from_wire",
     "id_from_wire",
     "pack",
+    "pack_around",
     "unpack",
 ]
 
@@ -83,6 +84,18 @@ def pack(message: Mapping[str, Any]) -> bytes:
         return bytes(msgpack.packb(message, default=_default, use_bin_type=True))
     except (TypeError, ValueError, OverflowError) as error:
         raise Invalid(f"message cannot be encoded: {error}") from error
+
+
+def pack_around(message: Mapping[str, Any], name: str, packed: bytes | Sequence[bytes]) -> bytes:
+    """`pack` of a message with one field more, the last, whose value (or each of whose entries) is encoded already.
+
+    Raises:
+        Invalid: Something in the message is not plain data.
+    """
+    if isinstance(packed, bytes):
+        return pack({**message, name: None})[:-1] + packed
+    count = len(packed)  # a nil is one byte, so that a list of them is its header and a byte for each
+    return b"".join((pack({**message, name: [None] * count})[: -count or None], *packed))
 
 
 def unpack(data: bytes) -> dict[str, Any]:

@@ -17,7 +17,7 @@ CrkrError
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar, final
+from typing import Any, ClassVar, Final, final
 
 __all__ = [
     "Busy",
@@ -132,6 +132,7 @@ class Unavailable(CrkrError):
     code = "UNAVAILABLE"
 
 
+_LONGEST: Final = 4096  # characters of a message: what it quotes of a request may be as long as the request
 _ON_THE_WIRE: Mapping[str, type[CrkrError]] = {
     kind.code: kind
     for kind in (
@@ -150,8 +151,9 @@ _ON_THE_WIRE: Mapping[str, type[CrkrError]] = {
 
 
 def error_to_wire(error: CrkrError) -> dict[str, Any]:
-    """The body of an error reply: code, message and, where given, retry_ms and details."""
-    body: dict[str, Any] = {"code": error.code, "message": error.message}
+    """The body of an error reply: code, message (a long one cut) and, where given, retry_ms and details."""
+    message = error.message if len(error.message) <= _LONGEST else error.message[: _LONGEST - 4] + " ..."
+    body: dict[str, Any] = {"code": error.code, "message": message}
     if error.retry_ms is not None:
         body["retry_ms"] = error.retry_ms
     if error.details:

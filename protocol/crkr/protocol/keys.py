@@ -32,7 +32,7 @@ __all__ = [
 PROTOCOL_VERSION: Final = 1
 ROOT: Final = f"crkr/@v{PROTOCOL_VERSION}"
 SERVER_VERBS: Final = ("info", "tasks", "create_task")
-TASK_VERBS: Final = ("predict", "report", "status", "model", "samples", "explain")
+TASK_VERBS: Final = ("predict", "report", "status", "spec", "model", "samples", "explain")
 ADMIN_VERBS: Final = ("recost", "remove", "refit", "configure", "archive")
 NAME: Final = re.compile(r"[a-z0-9][a-z0-9-]{0,62}")
 

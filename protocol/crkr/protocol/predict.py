@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, final
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final, final
 from uuid import UUID
 
 import numpy as np
@@ -15,6 +15,18 @@ from crkr.protocol.codec import MAX_STATES, Array, array_from_wire, frozen_from_
 from crkr.protocol.errors import Invalid
 
 __all__ = ["PredictRequest", "Prediction", "check_states"]
+
+# What a prediction has for each state.
+_ROWS: Final = (
+    "states",
+    "goals",
+    "means",
+    "sigmas",
+    "novelty",
+    "predicted_outcome",
+    "predicted_outcome_sd",
+    "corrected",
+)
 
 
 def check_states(value: object, dimensions: int) -> Array:
@@ -162,6 +174,31 @@ class Prediction:
         if len(self.trial_ids) != 1:
             raise Invalid(f"a batch of {len(self.trial_ids)} has no single trial_id; use trial_ids")
         return self.trial_ids[0]
+
+    @classmethod
+    def joined(cls, parts: Sequence[Prediction]) -> Prediction:
+        """One answer for all the states of several batches, in order.
+
+        Where models of different versions gave them, version and count are those of the oldest.
+        """
+
+        def rows(name: str) -> NDArray[Any] | None:
+            arrays = [getattr(part, name) for part in parts]
+            if any(array is None for array in arrays):
+                return None
+            every: NDArray[Any] = np.concatenate(arrays)
+            every.setflags(write=False)
+            return every
+
+        joined: dict[str, Any] = {name: rows(name) for name in _ROWS}
+        oldest = min(parts, key=lambda part: part.model_version)
+        return replace(
+            oldest,
+            trial_ids=[one for part in parts for one in part.trial_ids],
+            policy="corrected" if any(part.policy == "corrected" for part in parts) else oldest.policy,
+            compute_us=sum(part.compute_us for part in parts),
+            **joined,
+        )
 
     def to_wire(self) -> dict[str, Any]:
         """The answer as a message map."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Final, final
 from uuid import UUID
 
-from crkr.protocol import MAX_TRIALS, Invalid, Unsupported, id_from_wire
+from crkr.protocol import MAX_TRIALS, Invalid, Unsupported, check_model_fits, id_from_wire
 from crkr.protocol.checks import finite_array, number, required, text
 from crkr.protocol.codec import array_from_wire
 from crkr.server.tasks import ServedTask, hyperparameters
@@ -58,7 +58,9 @@ def _configure(message: Mapping[str, Any], task: ServedTask) -> Change:
     changes = required(message, "changes")
     if not isinstance(changes, Mapping) or not changes:
         raise Invalid(f"changes must be a map with at least one field; got {type(changes).__name__}")
-    task.spec.with_changes(changes)
+    changed_spec = task.spec.with_changes(changes)
+    if "budget" in changes:  # an earlier version took larger ones, whose other settings may change still
+        check_model_fits(changed_spec)
 
     def answer(changed: ServedTask, _: Any) -> dict[str, Any]:
         return {"spec": changed.spec.to_dict(), "hyperparameters": hyperparameters(changed.model)}

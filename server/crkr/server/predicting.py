@@ -11,13 +11,23 @@ from __future__ import annotations
 import time
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import fields, replace
 from typing import Any, Final, NamedTuple, final
 
 import numpy as np
 
 from crkr.learner import Model
-from crkr.protocol import Array, CrkrError, NovelState, Prediction, PredictRequest, pack, random_ids, unpack
+from crkr.protocol import (
+    Array,
+    CrkrError,
+    Invalid,
+    NovelState,
+    Prediction,
+    PredictRequest,
+    most_states_answered,
+    pack,
+    random_ids,
+    unpack,
+)
 from crkr.protocol.predict_bytes import Question, packed_rows, read_question, state_bytes
 from crkr.server.request import Request
 from crkr.server.tasks import ServedTask, Tasks
@@ -108,6 +118,7 @@ class Predictor:
     def _answer_alone(self, request: Request, task: ServedTask) -> None:
         """Any form of request, checked in full."""
         question = PredictRequest.from_wire(unpack(request.payload()), task.dimensions)
+        _refuse_long_answer(task, question.count)
         started = time.perf_counter_ns()
         ids = [one.bytes for one in question.trial_ids] or random_ids(question.count)
         answer = _predicted(task.model, question.states, question.explore, ids)
@@ -138,6 +149,18 @@ class _Cost(NamedTuple):
     def us(self, count: int) -> float:
         """For so many states [us]."""
         return self.once_us + count * self.state_us
+
+
+def _refuse_long_answer(task: ServedTask, count: int) -> None:
+    """Raises `Invalid` where the predictions of so many states are more than a message holds."""
+    spec = task.created
+    most = most_states_answered(len(spec.goal), len(spec.outcome) if spec.exploration.type == "outcome" else 0)
+    if count > most:
+        raise Invalid(
+            f"the answer for {count} states at once would be too large a message; ask task {task.name!r} about at "
+            f"most {most} at a time",
+            details={"field": "states", "most": most},
+        )
 
 
 def _states(message: Mapping[str, Any]) -> int:
@@ -179,16 +202,4 @@ def _predicted(model: Model, states: Array, explore: bool, ids: Sequence[bytes] 
         ]
     except NovelState:
         return model.predict(states, explore, ids)  # whose error names the most novel of all
-    return _joined(parts)
-
-
-def _joined(parts: Sequence[Prediction]) -> Prediction:
-    """One prediction of several by the same model."""
-    first = parts[0]
-    rows: dict[str, Any] = {
-        field.name: np.concatenate([getattr(part, field.name) for part in parts])
-        for field in fields(Prediction)
-        if isinstance(getattr(first, field.name), np.ndarray)
-    }
-    policy = "corrected" if any(part.policy == "corrected" for part in parts) else first.policy
-    return replace(first, policy=policy, trial_ids=[one for part in parts for one in part.trial_ids], **rows)
+    return Prediction.joined(parts)

@@ -10,7 +10,18 @@ from typing import Any, Protocol, final
 
 import zenoh
 
-from crkr.protocol import CrkrError, Internal, check_encoding, encoding, error_to_wire, pack, split_key, unpack
+from crkr.protocol import (
+    MAX_MESSAGE_BYTES,
+    CrkrError,
+    Internal,
+    Invalid,
+    check_encoding,
+    encoding,
+    error_to_wire,
+    pack,
+    split_key,
+    unpack,
+)
 from crkr.server.latency import Latencies
 
 __all__ = ["Job", "Request", "refuse"]
@@ -18,6 +29,7 @@ __all__ = ["Job", "Request", "refuse"]
 logger = logging.getLogger(__name__)
 
 _encoding = cache(lambda verb: zenoh.Encoding(encoding(verb)))  # few verbs: a key of another is refused before
+_TOO_LONG = f"a message has at most {MAX_MESSAGE_BYTES}: ask for less at once"
 _ERROR_ENCODING = zenoh.Encoding(encoding("error"))
 
 
@@ -112,6 +124,9 @@ class Request:
         """Answers with an encoded message."""
         if self.answered:
             return
+        if len(payload) > MAX_MESSAGE_BYTES:
+            self.fail(Invalid(f"the answer to {self.verb} would have {len(payload)} bytes; {_TOO_LONG}"))
+            return
         self.answered = True
         self._latencies.record(self.verb, time.perf_counter() - self._received)
         try:
@@ -135,10 +150,17 @@ class Request:
         self.fail(error)
 
 
+def _packed(error: CrkrError) -> bytes:
+    """The error's message map, without details where they are too many for a message."""
+    body = error_to_wire(error)
+    packed = pack(body)
+    return packed if len(packed) <= MAX_MESSAGE_BYTES else pack({**body, "details": {}})
+
+
 def refuse(query: zenoh.Query, error: CrkrError) -> None:
     """Answers a query with an error, and lets go of it."""
     try:
         with query:
-            query.reply_err(pack(error_to_wire(error)), encoding=_ERROR_ENCODING)
+            query.reply_err(_packed(error), encoding=_ERROR_ENCODING)
     except zenoh.ZError as failure:
         logger.debug("error reply was not sent: %s", failure)

@@ -56,6 +56,7 @@ def restore(log: LogReader, name: str) -> ServedTask:
     task = ServedTask(TaskSpec.from_dict(first.body["spec"]))
     if task.name != name:
         raise StorageError(f"the log of task {name!r} was begun as that of {task.name!r}; restore a backup")
+    task.begin(first)
     last, radii = log.last(name), load_radii(log, name)
     if last <= FEW:
         _replay(task, log.read(name, 1))

@@ -115,20 +115,21 @@ class Server:
             return dict.fromkeys(verbs.split(), made)
 
         write = lane("write", "report create_task recost remove configure archive", writer.work, MOST_REPORTS, 4096)
-        brief = lane("brief", "info tasks status model", reader.work)
+        brief = lane("brief", "info status spec model", reader.work)
+        lists = lane("lists", "tasks", reader.work, rests=True)
         samples = lane("samples", "samples", reader.work, rests=True)
         explain = lane("explain", "explain", reader.work, rests=True)
         bulk = lane("bulk predict", "predict", predictor.answer)
         self._fitting = Fitting(self.tasks, self._learning, writer)
         refit = lane("refit", "refit", self._fitting.work, limit=16)
         self._refit_lane = refit["refit"]
-        routes = {**write, **refit, **brief, **samples, **explain, **bulk}
+        routes = {**write, **refit, **brief, **lists, **samples, **explain, **bulk}
 
         def intake(key: str, verbs: str, predict: Any = None) -> None:
             served = {verb: routes[verb] for verb in verbs.split()}
             self._intakes.append(Intake(self._session, key, served, self._latencies, self._refuser, predict))
 
-        intake(task_key("*", "*"), "predict report status model samples explain", predictor.answer)
+        intake(task_key("*", "*"), "predict report status spec model samples explain", predictor.answer)
         intake(rpc_key("*"), "info tasks create_task")
         intake(admin_key("*", "*"), "refit recost remove configure archive")
         self._token_key = live_server_key(str(server_id))

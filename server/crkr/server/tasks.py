@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from collections import Counter
+from itertools import islice
 from typing import Any, Final, final
+from uuid import UUID
 
 import numpy as np
 
 from crkr.learner import Learner, Model, TrialColumns
-from crkr.protocol import KINDS, TaskSpec, UnknownTask
+from crkr.protocol import KINDS, TaskSpec, UnknownTask, pack, task_id
 from crkr.server.log import Event, LoggedTrial
 
 __all__ = ["ServedTask", "Tasks", "hyperparameters"]
+
+_MOST_NAMED: Final = 20  # tasks that an error tells of
 
 
 @final
@@ -35,9 +39,11 @@ class ServedTask:
         eligible: Trials that may be learned from.
         fault: Why learning stopped, "" while it goes on.
         damage: What is wrong with a stored row that no prediction rests on, "" where nothing was found.
+        log_id: Names the log that begins with this task's creation, whichever server reads it.
     """
 
     __slots__ = (
+        "_packed",
         "archived",
         "configured",
         "created",
@@ -46,6 +52,7 @@ class ServedTask:
         "eligible",
         "fault",
         "learner",
+        "log_id",
         "model",
         "samples",
         "seq",
@@ -63,11 +70,24 @@ class ServedTask:
         self.samples: Counter[str] = Counter()
         self.eligible = 0
         self.fault = self.damage = ""
+        self.log_id = UUID(int=0)
+        self._packed: tuple[TaskSpec, bytes] | None = None
 
     @property
     def name(self) -> str:
         """Its name in keys."""
         return self.created.name
+
+    def begin(self, creation: Event) -> None:
+        """Notes the first entry of its log."""
+        self.log_id = task_id(self.name, f"log/{creation.time.hex()}")
+
+    def packed_spec(self) -> bytes:
+        """The specification in force as it stands in messages, encoded once."""
+        spec, known = self.spec, self._packed
+        if known is None or known[0] is not spec:
+            known = self._packed = spec, pack(spec.to_dict())
+        return known[1]
 
     def note(self, entry: LoggedTrial | Event) -> None:
         """Counts an entry that the log holds."""
@@ -102,7 +122,10 @@ def hyperparameters(model: Model) -> dict[str, Any]:
 
 @final
 class Tasks:
-    """All tasks by name. Entries are only ever added, by the writer."""
+    """All tasks by name. Entries are only ever added, by the writer.
+
+    A list made of the entries is made in one step of the interpreter, so that the writer cannot add one meanwhile.
+    """
 
     def __init__(self) -> None:
         self._by_name: dict[str, ServedTask] = {}
@@ -119,11 +142,20 @@ class Tasks:
         """The task; raises `UnknownTask`."""
         task = self._by_name.get(name)
         if task is None:
-            known = ", ".join(sorted(self._by_name)[:20]) or "none yet"
+            known = ", ".join(list(islice(self._by_name, _MOST_NAMED))) or "none yet"
+            more = f" and {len(self) - _MOST_NAMED} more" if len(self) > _MOST_NAMED else ""
             raise UnknownTask(
-                f"no task {name!r} here; there are: {known}; crkr create makes one", details={"task": name}
+                f"no task {name!r} here; there are: {known}{more}; crkr create makes one", details={"task": name}
             )
         return task
+
+    def __len__(self) -> int:
+        return len(self._by_name)
+
+    def page(self, after: int, limit: int) -> tuple[list[ServedTask], int | None]:
+        """At most `limit` tasks past the first `after`, oldest first, and where to go on (None at the end)."""
+        end = after + limit
+        return list(islice(self._by_name.values(), after, end)), end if end < len(self) else None
 
     def all(self) -> list[ServedTask]:
         """Every task, oldest first."""

@@ -22,6 +22,7 @@ logger = logging.getLogger(__name__)
 STATES: Final = ("alive", "left", "lost", "unannounced")
 _MOST_WORKERS: Final = 4096  # the longest unseen is forgotten first
 _MOST_OPEN: Final = 4096  # trials a worker, the oldest is forgotten first
+_LONGEST_ID: Final = 128  # characters; status lists ids
 _FIFO: Final = 65536
 # One subscription to both kinds of token, so that a worker's leaving comes before the end of its own.
 _TOKENS: Final = live_worker_key("*", "*").replace("/worker/", "/*/")
@@ -130,9 +131,9 @@ class Workers:
             except zenoh.ZError:  # the session is closed
                 return
             match str(sample.key_expr).split("/"):
-                case [_, _, _, task, _, what, worker]:
+                case [_, _, _, task, _, what, worker] if len(worker) <= _LONGEST_ID:
                     pass
-                case _:  # a token on a wildcard, which is nobody's
+                case _:  # a token on a wildcard, or under no worker's id: it is nobody's
                     continue
             stands = sample.kind == zenoh.SampleKind.PUT
             if what == _LEFT:

@@ -16,6 +16,7 @@ from crkr.protocol import (
     ShuttingDown,
     StorageError,
     TaskSpec,
+    check_model_fits,
 )
 from crkr.server.administration import Change, read_change
 from crkr.server.durations import Durations
@@ -134,9 +135,11 @@ class Writer:
         spec = TaskSpec.from_dict(request.message())
         task = self._tasks.find(spec.name)
         if task is None:
+            check_model_fits(spec)
             task = ServedTask(spec)  # refuses what the learner does not offer, before anything is stored
             with self.commits.timing():
-                self._log.create(spec)
+                creation = self._log.create(spec)
+            task.begin(creation)
             self._tasks.add(task)
             logger.info("created task %s", spec.name)
             request.reply({"created": True, "spec_hash": spec.fingerprint()})

@@ -17,6 +17,7 @@ import typer
 
 from crkr.client import Client
 from crkr.client.allowed import allowed
+from crkr.client.commands.status import named_tasks
 from crkr.client.config import Connection
 from crkr.client.console import print_json, print_table
 from crkr.client.handshake import certificate_end, refusal
@@ -75,7 +76,7 @@ def _conversation(client: Client, zenoh_config: Path | None) -> list[_Check]:
     connection = Connection(client.endpoint, zenoh_config)
     try:
         info = client.info()
-        trips = [_seconds(client.info) for _ in range(_ROUND_TRIPS)]
+        trips = [_seconds(lambda: client._rpc.server_id(client._rpc.timeout_s)) for _ in range(_ROUND_TRIPS)]
     except CrkrError as error:
         return [("reachable", False, _trouble(error, connection))]
     return [
@@ -134,7 +135,7 @@ def _answers(info: dict[str, Any], trips: list[float]) -> list[_Check]:
     return [
         ("protocol", same, f"version {spoken}{advice}"),
         ("round trip", True, f"median {median:.2f} ms, worst of {len(trips)} {worst:.2f} ms"),
-        ("tasks", True, ", ".join(info.get("tasks", [])) or "none yet"),
+        ("tasks", True, named_tasks(info)),
     ]
 
 

@@ -13,7 +13,9 @@ from crkr.client.console import print_json, print_table, stdout
 from crkr.client.options import Connect, Json, Timeout, ZenohConfig
 from crkr.protocol import CrkrError
 
-__all__ = ["status"]
+__all__ = ["named_tasks", "status"]
+
+_MOST_NAMED = 20  # tasks
 
 
 def status(
@@ -53,9 +55,17 @@ def _show_server(info: Mapping[str, Any]) -> None:
             ("protocol", info.get("protocol")),
             ("id", info.get("server_id")),
             ("up for", _duration(time.time() - float(info.get("started", time.time())))),
-            ("tasks", ", ".join(info.get("tasks", [])) or "none yet"),
+            ("tasks", named_tasks(info)),
         ],
     )
+
+
+def named_tasks(info: Mapping[str, Any]) -> str:
+    """The tasks that an `info` tells of, in a line; where there are many, the first of them and how many more."""
+    names = info.get("tasks", [])
+    more = info.get("task_count", len(names)) - _MOST_NAMED
+    listed = ", ".join(names[:_MOST_NAMED]) or "none yet"
+    return f"{listed} and {more} more: crkr tasks" if more > 0 else listed
 
 
 def _show_task(answer: Mapping[str, Any]) -> None:
@@ -66,7 +76,7 @@ def _show_task(answer: Mapping[str, Any]) -> None:
     rows += [(name, str(answer[name])) for name in ("fault", "damage") if answer.get(name)]
     print_table(("task", str(answer.get("task", ""))), rows)
     _show_verbs(answer.get("latency_us") or {}, answer.get("queues") or {})
-    _show_workers(answer.get("workers") or [])
+    _show_workers(answer.get("workers") or [], answer.get("more_workers") or 0)
 
 
 def _show_verbs(latency: Mapping[str, Any], queues: Mapping[str, Any]) -> None:
@@ -85,7 +95,7 @@ def _waiting(queues: Mapping[str, Any], verb: str) -> str:
     return str(queue.get("waiting", "")) if isinstance(queue, Mapping) else ""
 
 
-def _show_workers(workers: Sequence[Mapping[str, Any]]) -> None:
+def _show_workers(workers: Sequence[Mapping[str, Any]], more: int) -> None:
     if not workers:
         stdout.print("no workers seen")
         return
@@ -99,6 +109,8 @@ def _show_workers(workers: Sequence[Mapping[str, Any]]) -> None:
         for worker in workers
     ]
     print_table(("worker", "state", "open trials", "oldest since", "last seen"), rows)
+    if more:
+        stdout.print(f"and {more} workers more, seen longer ago")
 
 
 def _since(moment: float | None) -> float | None:

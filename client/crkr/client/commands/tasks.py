@@ -91,7 +91,7 @@ def tasks(
     Example: crkr tasks --json
     """
     with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
-        found = client.tasks()
+        found = list(client.iter_tasks())
     if as_json:
         print_json([{**entry, "spec": entry["spec"].to_dict()} for entry in found])
     elif not found:

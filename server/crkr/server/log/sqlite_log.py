@@ -71,7 +71,7 @@ class SqliteLog:
 
     def append_reports(self, reports: Sequence[PendingReport]) -> list[Stored | Conflict]:
         """Stores several reports in one transaction; a report in conflict leaves the others alone."""
-        last = dict(self._last)
+        last = {report.task: self._last[report.task] for report in reports}
         with self._transaction("store trials") as connection:
             now = time.time()
             results: list[Stored | Conflict] = []
@@ -81,7 +81,7 @@ class SqliteLog:
                     last[report.task] = result.fresh[-1].seq
                     self._added += len(result.fresh)
                 results.append(result)
-        self._last = last
+        self._last.update(last)
         return results
 
     def _append_report(

@@ -134,7 +134,7 @@ class SqliteReader:
         size = 0
         with read_errors(f"read samples of task {task!r}"):
             for row in self._connection().execute(_PAGE, (self._key(task), after, limit + 1)):
-                size += _ROW_BYTES + sum(len(value) for value in row if isinstance(value, bytes | str))
+                size += _ROW_BYTES + sum(_bytes(value) for value in row)
                 if entries and (len(entries) == limit or size > most_bytes):
                     return entries, int(entries[-1]["seq"])
                 entries.append(wire_of(row))
@@ -214,6 +214,11 @@ class SqliteReader:
             connection = self._threads.connection = connect(self.path, read_only=True)
             self._open.append((threading.current_thread(), connection))
         return connection
+
+
+def _bytes(value: object) -> int:
+    """At most how many bytes a column takes in a message, numbers aside."""
+    return len(value) if isinstance(value, bytes) else 4 * len(value) if isinstance(value, str) else 0
 
 
 def _event(row: tuple[Any, ...]) -> Event:

@@ -16,7 +16,9 @@ import numpy as np
 from crkr.learner import TrialColumns
 from crkr.protocol import StorageError, UnknownTask, unpack
 from crkr.server.log.blocks import BLOCK_COLUMNS, columns_of
+from crkr.server.log.data_files import check_database_files
 from crkr.server.log.entries import Event, LoggedTrial
+from crkr.server.log.foreign_wal import refuse_foreign_wal
 from crkr.server.log.rows import ROW_COLUMNS, body_digest, check_row, trial_of, wire_of
 from crkr.server.log.schema import check_version, connect, read_errors, storage_errors
 
@@ -47,6 +49,7 @@ class SqliteReader:
     """
 
     def __init__(self, path: Path) -> None:
+        check_database_files(path)
         if not path.is_file() or not path.stat().st_size:  # beside an empty database SQLite deletes the write-ahead log
             raise StorageError(f"there is no task log {path}")
         self.path = path
@@ -54,6 +57,8 @@ class SqliteReader:
         self._open: list[tuple[threading.Thread, sqlite3.Connection]] = []
         with read_errors(f"open the task log {path}"):
             self.is_log: Final = check_version(self._connection(), path)
+            if self.is_log:
+                refuse_foreign_wal(self._connection(), path)
 
     def tasks(self) -> tuple[str, ...]:
         """Names of all tasks, oldest first."""

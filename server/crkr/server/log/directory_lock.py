@@ -24,6 +24,7 @@ __all__ = ["DirectoryLock"]
 logger = logging.getLogger(__name__)
 
 _NAME: Final = "lock"
+_FAR: Final = 2**40  # beyond the end of the file
 # What NFS says of a directory, which it cannot lock exclusively; the file is locked there all the same.
 _FILES_ONLY: Final = (errno.EBADF, errno.EINVAL, errno.EISDIR)
 
@@ -94,6 +95,8 @@ class DirectoryLock:
 
     def _hold(self, file: int, files_only: tuple[int, ...] = ()) -> None:
         try:
+            if not files_only:
+                _try_record_lock(file)
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
             raise StorageError(
@@ -115,3 +118,13 @@ class DirectoryLock:
         finally:
             os.close(file)
         return f"process {holder.decode()}" if holder.isdigit() else "another process"
+
+
+def _try_record_lock(file: int) -> None:
+    """Takes and gives back a lock on one byte, as SQLite does, which itself takes `ENOLCK` for a busy database."""
+    try:
+        fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, _FAR)
+        fcntl.lockf(file, fcntl.LOCK_UN, 1, _FAR)
+    except OSError as error:
+        if error.errno in NO_LOCKS:
+            raise

@@ -55,10 +55,14 @@ class SqliteReader:
         self.path = path
         self._threads = threading.local()
         self._open: list[tuple[threading.Thread, sqlite3.Connection]] = []
-        with read_errors(f"open the task log {path}"):
-            self.is_log: Final = check_version(self._connection(), path)
-            if self.is_log:
-                refuse_foreign_wal(self._connection(), path)
+        try:
+            with read_errors(f"open the task log {path}"):
+                self.is_log: Final = check_version(self._connection(), path)
+                if self.is_log:
+                    refuse_foreign_wal(self._connection(), path)
+        except StorageError:
+            self.close()
+            raise
 
     def tasks(self) -> tuple[str, ...]:
         """Names of all tasks, oldest first."""

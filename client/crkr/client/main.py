@@ -18,5 +18,17 @@ def main() -> None:
     for name in _THREADS:
         os.environ.setdefault(name, "1")
     from crkr.client.frame import build
+    from crkr.client.standard_streams import READER_GONE, discard_output, flushed, open_streams
 
-    build(sys.argv[1:])(prog_name="crkr")
+    open_streams()
+    try:
+        build(sys.argv[1:])(prog_name="crkr")
+        status = 0
+    except SystemExit as end:
+        status = end.code if isinstance(end.code, int) else int(end.code is not None)
+    except OSError as error:  # of help and usage, which are printed outside every command
+        if not isinstance(error, BrokenPipeError):
+            sys.stderr.write(f"error: {error}\n")
+        discard_output()
+        status = READER_GONE if isinstance(error, BrokenPipeError) else 1
+    sys.exit(flushed(status))

@@ -49,6 +49,7 @@ from crkr.protocol.keys import (
     task_key,
 )
 from crkr.protocol.make_trials import make_trials
+from crkr.protocol.plain_text import LogFormatter, printable
 from crkr.protocol.predict import Prediction, PredictRequest, check_states
 from crkr.protocol.report import Receipt, ReportRequest, StoredTrial
 from crkr.protocol.settings import Exploration, KernelSettings
@@ -78,6 +79,7 @@ __all__ = [
     "Internal",
     "Invalid",
     "KernelSettings",
+    "LogFormatter",
     "Neighbour",
     "NoSamples",
     "NovelState",
@@ -115,6 +117,7 @@ __all__ = [
     "live_worker_key",
     "make_trials",
     "pack",
+    "printable",
     "pub_key",
     "random_ids",
     "rpc_key",

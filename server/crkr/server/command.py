@@ -43,6 +43,7 @@ def server(
     log_level: Annotated[str, typer.Option(envvar="CRKR_LOG_LEVEL", help="debug, info, warning or error.")] = "info",
 ) -> None:
     """Run the policy service: `crkr server --listen tcp/127.0.0.1:7447 --data crkr-data --metrics 9464`."""
+    from crkr.protocol import printable
     from crkr.server.server import Server, ServerSettings
     from crkr.server.session import endpoints
 
@@ -59,7 +60,7 @@ def server(
         if endpoint is not None:
             endpoint.show(running.vitals)
             told += f", metrics at http://{endpoint.address}/metrics"
-        log.add(f"crkr server {version('crkr')} {told}")
+        log.add(printable(f"crkr server {version('crkr')} {told}"))
         serving.set()
         told_to_stop.recv(1)
         watchdog = threading.Timer(_EXIT_PATIENCE_S, os._exit, (0,))

@@ -32,7 +32,11 @@ class Progress:
         self._title = title
         self._total = total
         self._unit = unit
-        columns = (TextColumn("[bold]{task.description}"), BarColumn(), TextColumn("{task.fields[count]}"))
+        columns = (
+            TextColumn("{task.description}", "bold", markup=False),
+            BarColumn(),
+            TextColumn("{task.fields[count]}"),
+        )
         self._bar = Bar(*columns, TimeElapsedColumn())
         self._task = self._bar.add_task(title, total=total, count=self._count(0))
         self._text = Text(style="dim")

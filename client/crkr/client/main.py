@@ -26,9 +26,10 @@ def main() -> None:
         status = 0
     except SystemExit as end:
         status = end.code if isinstance(end.code, int) else int(end.code is not None)
-    except OSError as error:  # of help and usage, which are printed outside every command
-        if not isinstance(error, BrokenPipeError):
-            sys.stderr.write(f"error: {error}\n")
+        if isinstance(end.__context__, BrokenPipeError):  # Typer and Rich make it 1
+            status = READER_GONE
+    except OSError as error:  # of help and version, which are printed outside every command
+        sys.stderr.write(f"error: standard output cannot be written: {error.strerror}\n")
         discard_output()
-        status = READER_GONE if isinstance(error, BrokenPipeError) else 1
+        status = 1
     sys.exit(flushed(status))

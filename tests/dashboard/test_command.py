@@ -1,4 +1,5 @@
 import os
+import pty
 import signal
 import socket
 import subprocess
@@ -54,7 +55,7 @@ def report(task: Task, count: int) -> None:
     task.report(state=[[5.0]] * count, goal=[[0.1]] * count, cost=0.5, success=True, worker="crane-1")
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_completes_the_recording_and_ends_the_page(
     crane: Task, server: Any, watch: Watch, tmp_path: Path, number: signal.Signals
 ) -> None:
@@ -67,6 +68,8 @@ def test_a_signal_completes_the_recording_and_ends_the_page(
         assert answer.status == 200
     line_with(process.stderr, "caught up with 120 trials")
     process.send_signal(number)
+    if number == signal.SIGHUP:
+        process.send_signal(number)  # shell and kernel both send one
     _, rest = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0, rest
     assert f"recording: {file}" in rest
@@ -75,6 +78,21 @@ def test_a_signal_completes_the_recording_and_ends_the_page(
     assert rows(file, "/cost/success") == 120
     (guide,) = [batch.column("TextDocument:text")[0].as_py() for batch in batches(file, "/guide")]
     assert "Lift loads." in guide[0]
+
+
+def test_a_closed_terminal_completes_the_recording(crane: Task, server: Any, tmp_path: Path) -> None:
+    report(crane, 120)
+    file = tmp_path / "run.rrd"
+    words = ["watch", "crane", "--connect", server.endpoint, "--save", str(file), "--log-level", "info"]
+    pid, terminal = pty.fork()
+    if pid == 0:
+        os.execv(sys.executable, [sys.executable, "-m", "crkr.client", *words])
+    written = b""
+    while b"caught up with 120 trials" not in written:
+        written += os.read(terminal, 4096)
+    os.close(terminal)  # the kernel hangs up, and what is printed from now on fails
+    assert os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 0
+    assert rows(file, "/cost/success") == 120
 
 
 def rows(file: Path, entity: str) -> int:

@@ -83,14 +83,15 @@ def _metrics_endpoint(given: str) -> MetricsEndpoint:
 
 
 def _stop_signal() -> socket.socket:
-    """A socket that gets a byte at SIGTERM or Ctrl-C.
+    """A socket that gets a byte at SIGTERM, Ctrl-C or the terminal's hang-up; `nohup`, which ignores that one, holds.
 
     An event set by a handler would not do: the handler runs on the main thread, and where that thread is just then
     inside `wait`, it would wait for a lock of its own.
     """
     reader, writer = socket.socketpair()
     writer.setblocking(False)
-    for number in (signal.SIGTERM, signal.SIGINT):
+    hang_up = () if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN else (signal.SIGHUP,)
+    for number in (signal.SIGTERM, signal.SIGINT, *hang_up):
         signal.signal(number, lambda *_: None)
     signal.set_wakeup_fd(writer.detach(), warn_on_full_buffer=False)
     return reader

@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM as a wish that a loop looks at, so that nothing is cut off in the middle."""
+"""Ctrl-C, SIGTERM and the terminal's hang-up as a wish that a loop looks at: nothing is cut off in the middle."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from multiprocessing import resource_tracker
 from types import FrameType
-from typing import Any, Final, final
+from typing import Any, final
+
+from crkr.client.stop_signals import stop_signals
 
 __all__ = ["StopRequest", "ctrl_c_blocked"]
-
-SIGNALS: Final = (signal.SIGINT, signal.SIGTERM)
 
 
 @final
 class StopRequest:
-    """While entered, remembers the first of SIGINT and SIGTERM instead of acting on it; main thread only.
+    """While entered, remembers the first of SIGINT, SIGTERM and SIGHUP instead of acting on it; main thread only.
 
     Attributes:
         signal: Which one came, or None.
@@ -27,7 +27,7 @@ class StopRequest:
         self._before: dict[signal.Signals, Any] = {}
 
     def __enter__(self) -> StopRequest:
-        self._before = {each: signal.signal(each, self._remember) for each in SIGNALS}
+        self._before = {each: signal.signal(each, self._remember) for each in stop_signals()}
         return self
 
     def __exit__(self, *exception: object) -> None:
@@ -39,7 +39,7 @@ class StopRequest:
 
     @property
     def status(self) -> int:
-        """Exit status by the shell's convention: 130 for SIGINT, 143 for SIGTERM, 0 for neither."""
+        """Exit status by the shell's convention: 130 for SIGINT, 143 for SIGTERM, 129 for SIGHUP, 0 for none."""
         return 0 if self.signal is None else 128 + self.signal
 
     def _remember(self, number: int, frame: FrameType | None) -> None:
@@ -49,9 +49,12 @@ class StopRequest:
 
 @contextmanager
 def ctrl_c_blocked() -> Iterator[None]:
-    """A process started meanwhile inherits the mask and never sees SIGINT; ours is delivered afterwards."""
+    """A process started meanwhile inherits the mask and never sees SIGINT or SIGHUP; ours are delivered afterwards.
+
+    Both reach the terminal's whole foreground group, and the starter decides when its processes end.
+    """
     resource_tracker.ensure_running()  # starting it would lift the mask
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})
     try:
         yield
     finally:

@@ -1,4 +1,4 @@
-"""Ctrl-C, SIGTERM and the terminal's hang-up as a wish that a loop looks at: nothing is cut off in the middle."""
+"""Ctrl-C, SIGTERM and a closed terminal as a wish that a loop looks at, so that nothing is cut off in the middle."""
 
 from __future__ import annotations
 
@@ -7,16 +7,18 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from multiprocessing import resource_tracker
 from types import FrameType
-from typing import Any, final
-
-from crkr.client.stop_signals import stop_signals
+from typing import Any, Final, final
 
 __all__ = ["StopRequest", "ctrl_c_blocked"]
+
+SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # the last when a terminal is closed
 
 
 @final
 class StopRequest:
     """While entered, remembers the first of SIGINT, SIGTERM and SIGHUP instead of acting on it; main thread only.
+
+    `nohup` keeps its meaning: where SIGHUP is ignored, it stays so.
 
     Attributes:
         signal: Which one came, or None.
@@ -27,7 +29,9 @@ class StopRequest:
         self._before: dict[signal.Signals, Any] = {}
 
     def __enter__(self) -> StopRequest:
-        self._before = {each: signal.signal(each, self._remember) for each in stop_signals()}
+        ignored = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+        heeded = [each for each in SIGNALS if each is not signal.SIGHUP or not ignored]
+        self._before = {each: signal.signal(each, self._remember) for each in heeded}
         return self
 
     def __exit__(self, *exception: object) -> None:
@@ -51,7 +55,7 @@ class StopRequest:
 def ctrl_c_blocked() -> Iterator[None]:
     """A process started meanwhile inherits the mask and never sees SIGINT or SIGHUP; ours are delivered afterwards.
 
-    Both reach the terminal's whole foreground group, and the starter decides when its processes end.
+    A terminal sends both to all processes of a command, which ends its own in order.
     """
     resource_tracker.ensure_running()  # starting it would lift the mask
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})

@@ -10,7 +10,6 @@ import typer
 
 from crkr.client.console import configure_logging, print_json, stderr
 from crkr.client.options import Connect, Json, LogLevel, Timeout, ZenohConfig
-from crkr.client.stop_signals import stop_signals
 
 __all__ = ["workers"]
 
@@ -80,8 +79,9 @@ def workers(
     from crkr.sim_worker.skill import SkillOptions
 
     configure_logging(log_level)
-    for number in set(stop_signals()) - {signal.SIGINT}:  # as process 1 of a container it has no default
-        signal.signal(number, lambda number, _: sys.exit(128 + number))
+    for number in (signal.SIGTERM, signal.SIGHUP):  # as process 1 of a container they have no default
+        if signal.getsignal(number) is not signal.SIG_IGN:  # by nohup
+            signal.signal(number, lambda number, _: sys.exit(128 + number))
     options = SkillOptions(environment=environment, launcher=launcher, preset=preset, name=task, seed=seed or 0)
     with Client(connect, zenoh_config=zenoh_config) as client:
         endpoint = client.endpoint

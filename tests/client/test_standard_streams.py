@@ -92,3 +92,20 @@ os._exit(file)
     done = shell(f"{sys.executable} -c {program!r} <&- >&- 2>&-".replace("\\n", "\n"))
     assert done.returncode > 2
     assert os.path.getsize(tmp_path / "data") == 0
+
+
+def test_the_traceback_of_a_defect_does_not_act_on_the_terminal() -> None:
+    program = """
+import sys
+from crkr.client.main import main
+sys.argv = ["crkr", "--version"]
+import importlib.metadata
+def fail(package):
+    raise RuntimeError("\\x1b[2J")
+importlib.metadata.version = fail
+main()
+"""
+    done = subprocess.run([sys.executable, "-c", program], check=False, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 1
+    assert done.stderr.startswith("Traceback")
+    assert done.stderr.endswith("RuntimeError: \\x1b[2J\n")

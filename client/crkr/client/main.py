@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import sys
+from traceback import format_exception
+from types import TracebackType
 from typing import Final
 
 __all__ = ["main"]
@@ -17,6 +19,7 @@ def main() -> None:
     """Runs `crkr` with the process's arguments."""
     for name in _THREADS:
         os.environ.setdefault(name, "1")
+    sys.excepthook = _tell_defect  # before Typer looks for it
     from crkr.client.frame import build
     from crkr.client.standard_streams import READER_GONE, discard_output, flushed, open_streams
 
@@ -33,3 +36,10 @@ def main() -> None:
         discard_output()
         status = 1
     sys.exit(flushed(status))
+
+
+def _tell_defect(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+    """A traceback may quote what others sent."""
+    from crkr.protocol import printable
+
+    sys.stderr.write(printable("".join(format_exception(kind, error, trace)), keep="\n"))

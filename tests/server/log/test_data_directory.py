@@ -118,6 +118,24 @@ def test_a_write_of_another_program_that_leaves_the_entries_alone_stops_nothing(
     SqliteLog(directory).close()
 
 
+@pytest.mark.parametrize("name", ["crkr.sqlite3-wal", "crkr.sqlite3-shm"])
+@pytest.mark.parametrize("how", ["removed", "replaced"])
+def test_nothing_is_stored_in_a_file_that_was_removed_or_replaced(directory: Path, name: str, how: str) -> None:
+    log = SqliteLog(directory)
+    log.append_reports(pending(4))
+    (directory / name).unlink()
+    if how == "replaced":
+        (directory / name).write_bytes(b"")
+    with pytest.raises(StorageError, match=f"{name} was moved, removed or replaced"):
+        log.append_reports(pending(5))
+    # As a kill would leave it: all that was stored before is in the database.
+    copy = directory.with_name("copy")
+    copy.mkdir()
+    shutil.copy(directory / "crkr.sqlite3", copy)
+    assert SqliteReader(copy / "crkr.sqlite3").last("reach") == 5
+    log.close()
+
+
 @pytest.mark.parametrize("name", FILES)
 @pytest.mark.parametrize("kind", ["link", "dangling", "fifo", "socket", "directory"])
 def test_what_is_no_plain_file_is_refused_and_left_alone(tmp_path: Path, name: str, kind: str) -> None:
@@ -174,6 +192,23 @@ def test_a_data_directory_may_be_a_symbolic_link(directory: Path, tmp_path: Path
     with pytest.raises(StorageError, match="in use"):
         SqliteLog(directory)
     log.close()
+
+
+def test_a_directory_that_everybody_may_change_is_told(directory: Path, caplog: pytest.LogCaptureFixture) -> None:
+    directory.chmod(0o777)
+    SqliteLog(directory).close()
+    assert "may be changed by every user" in caplog.text
+
+
+def test_a_backup_follows_no_link(directory: Path, tmp_path: Path) -> None:
+    precious = tmp_path / "precious"
+    precious.write_text("precious")
+    (tmp_path / f"copy.sqlite3.{os.getpid()}.partial").symlink_to(precious)
+    reader = SqliteReader(directory / "crkr.sqlite3")
+    with pytest.raises(OSError, match="File exists"):
+        reader.backup(tmp_path / "copy.sqlite3")
+    reader.close()
+    assert precious.read_text() == "precious"
 
 
 COLUMNS = "task, seq, id, time, kind, success, cost, state, goal, outcome, worker, model_version, info, digest"

@@ -14,9 +14,10 @@ from typing import Final
 
 from crkr.protocol import StorageError
 
-__all__ = ["check_database_files", "identity", "open_data_file"]
+__all__ = ["check_database_files", "identities", "identity", "open_data_file"]
 
-_SUFFIXES: Final = ("", "-wal", "-shm", "-journal")  # of SQLite's files beside each other
+_IN_USE: Final = ("", "-wal", "-shm")  # suffixes of the files that SQLite holds open while a log is in use
+_SUFFIXES: Final = (*_IN_USE, "-journal")
 _KINDS: Final = (
     (stat.S_ISLNK, "a symbolic link"),
     (stat.S_ISDIR, "a directory"),
@@ -78,6 +79,11 @@ def identity(path: Path) -> tuple[int, int] | None:
     except OSError:
         return None
     return found.st_dev, found.st_ino
+
+
+def identities(path: Path) -> dict[Path, tuple[int, int] | None]:
+    """Which files stand under the names of a database in use."""
+    return {beside: identity(beside) for beside in (path.with_name(path.name + suffix) for suffix in _IN_USE)}
 
 
 def _refuse_other_kinds(path: Path, mode: int) -> None:

@@ -11,6 +11,7 @@ import errno
 import fcntl
 import logging
 import os
+import stat
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Final, final
@@ -47,6 +48,8 @@ class DirectoryLock:
             except OSError as error:
                 raise StorageError(f"data directory {directory} cannot be written: {error.strerror}") from error
             undo.callback(os.close, self._directory)
+            if os.fstat(self._directory).st_mode & (stat.S_IWOTH | stat.S_ISVTX) == stat.S_IWOTH:
+                logger.warning("data directory %s may be changed by every user of this machine: chmod o-w", directory)
             self._hold(self._directory, files_only=_FILES_ONLY)
             self._file = self._locked_file()
             undo.pop_all()

@@ -7,12 +7,12 @@ import sqlite3
 import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any, Final, final
 
 from crkr.protocol import Conflict, StorageError, TaskSpec, Trial, id_from_wire, pack, unpack
-from crkr.server.log.data_files import check_database_files, identity
+from crkr.server.log.data_files import check_database_files, identities
 from crkr.server.log.directory_lock import DirectoryLock
 from crkr.server.log.entries import Event, LoggedTrial, PendingReport, Stored
 from crkr.server.log.file_system import LOCAL_DISK, file_system_of, is_remote
@@ -51,7 +51,7 @@ class SqliteLog:
             _refuse_what_lost_its_end(self.path)
             self._writer = open_database(self.path)
             undo.callback(self._writer.close)
-            self._file = identity(self.path)
+            self._files = identities(self.path)
             self.reads = SqliteReader(self.path)
             undo.callback(self.reads.close)
             self._last = self.reads.positions()
@@ -169,11 +169,7 @@ class SqliteLog:
         with self._writing, storage_errors(doing):
             if self._closing:
                 raise StorageError(f"cannot {doing}: the task log is closed")
-            if identity(self.path) != self._file:  # what SQLite stored now would be nowhere after the end
-                raise StorageError(
-                    f"cannot {doing}: the task log {self.path} was moved, removed or replaced while the server runs; "
-                    "put it back, or restart the server"
-                )
+            self._refuse_moved_files(doing)
             self._lock.check()
             self._writer.execute("BEGIN IMMEDIATE")
             self._added = 0
@@ -189,6 +185,20 @@ class SqliteLog:
                 raise
             finally:
                 self._end_if_closing()
+
+    def _refuse_moved_files(self, doing: str) -> None:
+        """What SQLite stored in a file that has lost its name would be nowhere after the end."""
+        found = identities(self.path)
+        moved = next((path for path, which in self._files.items() if found[path] != which), None)
+        if moved is None:
+            return
+        if moved != self.path and found[self.path] == self._files[self.path]:
+            with suppress(sqlite3.Error):  # what only the lost file holds is brought into the database
+                self._writer.execute("PRAGMA wal_checkpoint(FULL)")
+        raise StorageError(
+            f"cannot {doing}: the task log {moved} was moved, removed or replaced while the server runs; put it back, "
+            "or restart the server"
+        )
 
     def _refuse_changes_of_others(self, doing: str) -> None:
         """Notices inside a transaction that another process wrote, by the one number that SQLite keeps of that."""

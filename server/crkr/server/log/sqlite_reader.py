@@ -190,6 +190,9 @@ class SqliteReader:
         partial = target.with_name(f"{target.name}.{os.getpid()}.partial")  # another backup's is not ours to end
         try:
             with storage_errors(f"back up to {target}"):
+                os.close(
+                    os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
+                )  # no link's target
                 copy = sqlite3.connect(partial)
                 try:
                     self._connection().backup(copy)

@@ -58,10 +58,10 @@ class PlainConsole(Console):
     def _check_buffer(self) -> None:
         try:
             super()._check_buffer()
-        except OSError:
-            if not self.stderr:
-                raise
+        except OSError as error:
             self._buffer.clear()
+            if not self.stderr:
+                raise OSError(f"standard output cannot be written: {error.strerror}") from error
 
 
 stdout: Final = PlainConsole()

@@ -6,6 +6,7 @@ import os
 import shutil
 import socket
 import sqlite3
+import struct
 from collections.abc import Callable
 from pathlib import Path
 from uuid import UUID
@@ -254,4 +255,56 @@ def test_a_write_ahead_log_of_another_database_is_refused(directory: Path, tmp_p
     (directory / "crkr.sqlite3-wal").unlink()
     log = SqliteLog(directory)
     assert log.reads.last("reach") == 4
+    log.close()
+
+
+def header(pages: int, page_size: int, records: int) -> bytes:
+    return bytes.fromhex("d9d505f920a163d7") + struct.pack(">5I", records, 7, pages, 512, page_size) + bytes(484)
+
+
+def record(number: int, page: bytes) -> bytes:
+    checksum = (7 + sum(page[index] for index in range(4096 - 200, 0, -200))) % 2**32
+    return struct.pack(">I", number) + page + struct.pack(">I", checksum)
+
+
+def test_a_rollback_journal_of_another_database_is_refused(directory: Path, tmp_path: Path) -> None:
+    other = sqlite3.connect(tmp_path / "other.sqlite3", isolation_level=None)
+    other.execute("CREATE TABLE t (x)")
+    other.close()
+    page = (tmp_path / "other.sqlite3").read_bytes()[:4096]
+    before = (directory / "crkr.sqlite3").read_bytes()
+    held = len(before) // 4096
+    # The first would cut the log, the second would replace its first page, the last any other.
+    for left in (header(1, 4096, 0), header(held, 4096, 1) + record(1, page), header(held, 4096, 1) + record(3, page)):
+        (directory / "crkr.sqlite3-journal").write_bytes(left)
+        with pytest.raises(StorageError, match="belongs to another database"):
+            SqliteLog(directory)
+        assert (directory / "crkr.sqlite3").read_bytes() == before
+    (directory / "crkr.sqlite3-journal").unlink()
+    SqliteLog(directory).close()
+
+
+def test_a_restored_backup_goes_on_after_a_kill_while_it_was_prepared(directory: Path, tmp_path: Path) -> None:
+    reader = SqliteReader(directory / "crkr.sqlite3")
+    (tmp_path / "restored").mkdir()
+    restored = tmp_path / "restored" / "crkr.sqlite3"
+    reader.backup(restored)
+    reader.close()
+    content = restored.read_bytes()
+    restored.write_bytes(content[:18] + b"\2\2" + content[20:])  # it was to have a write-ahead log
+    restored.with_name("crkr.sqlite3-journal").write_bytes(
+        header(len(content) // 4096, 4096, 1) + record(1, content[:4096])
+    )
+    log = SqliteLog(restored.parent)
+    assert log.reads.last("reach") == 4
+    log.append_reports(pending(4))
+    log.close()
+
+
+def test_a_new_directory_goes_on_after_a_kill_while_it_was_prepared(tmp_path: Path) -> None:
+    (tmp_path / "data").mkdir()
+    (tmp_path / "data" / "crkr.sqlite3").touch()
+    (tmp_path / "data" / "crkr.sqlite3-journal").write_bytes(header(0, 4096, 0))
+    log = SqliteLog(tmp_path / "data")
+    log.create(SPEC)
     log.close()

@@ -57,7 +57,10 @@ _DAMAGED: Final = ("SQLITE_CORRUPT", "SQLITE_CORRUPT_INDEX", "SQLITE_NOTADB", "S
 _UNLOCKABLE: Final = ("SQLITE_IOERR_LOCK", "SQLITE_IOERR_RDLOCK", "SQLITE_IOERR_UNLOCK", "SQLITE_NOLFS")
 _UNLOCKABLE_STARTS: Final = ("SQLITE_IOERR_SHM", "SQLITE_PROTOCOL")
 # Statistics of the query planner, which ANALYZE leaves and which change no answer.
-_STATISTICS: Final = ("sqlite_stat1", "sqlite_stat4")
+_STATISTICS: Final = {
+    "sqlite_stat1": "CREATE TABLE sqlite_stat1(tbl,idx,stat)",
+    "sqlite_stat4": "CREATE TABLE sqlite_stat4(tbl,idx,neq,nlt,ndlt,sample)",
+}
 
 
 @contextmanager
@@ -69,6 +72,8 @@ def storage_errors(doing: str) -> Iterator[None]:
         name = str(getattr(error, "sqlite_errorname", ""))
         undecodable = not name and isinstance(error, sqlite3.OperationalError)  # text that is none
         advice = "; restore a backup" if undecodable or name in _DAMAGED else ""
+        if name == "SQLITE_READONLY_ROLLBACK":
+            advice = "; a server that starts on it undoes what was interrupted"
         if name in _UNLOCKABLE or name.startswith(_UNLOCKABLE_STARTS):
             advice = f"; its file system may lack locks or shared memory: {LOCAL_DISK}"
         raise StorageError(f"cannot {doing}: {error}{name and f' ({name})'}{advice}") from error
@@ -152,8 +157,8 @@ def check_schema(connection: sqlite3.Connection, path: Path) -> None:
         StorageError: One is missing, changed, or not crkr's. Only the cache may be missing.
     """
     found = _objects(connection)
-    for kind, name in found:
-        if (kind, name) not in _expected() and name not in _STATISTICS:
+    for (kind, name), (_, definition) in found.items():
+        if (kind, name) not in _expected() and (kind, _STATISTICS.get(name)) != ("table", definition):
             raise StorageError(f"the task log {path} holds a {kind} {name!r}, which crkr does not make; {_RESTORE}")
     for (kind, name), made in _expected().items():
         if (kind, name) not in found and name != "cache":

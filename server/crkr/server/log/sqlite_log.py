@@ -16,8 +16,9 @@ from crkr.server.log.data_files import check_database_files, identities
 from crkr.server.log.directory_lock import DirectoryLock
 from crkr.server.log.entries import Event, LoggedTrial, PendingReport, Stored
 from crkr.server.log.file_system import LOCAL_DISK, file_system_of, is_remote
+from crkr.server.log.journal_check import refuse_foreign_journal
 from crkr.server.log.rows import DIGEST_BYTES, ROW_COLUMNS, TRIAL_COLUMNS, body_digest, changed_digest, trial_row
-from crkr.server.log.schema import FILE_NAME, check_schema, open_database, storage_errors
+from crkr.server.log.schema import FILE_NAME, check_schema, connect, open_database, storage_errors
 from crkr.server.log.sqlite_reader import SqliteReader
 from crkr.server.log.tally import TALLY_NAME, Tally, lost_end, read_tally
 
@@ -48,6 +49,8 @@ class SqliteLog:
             if is_remote(kind := file_system_of(directory)):
                 logger.warning("data directory %s is on %s, whose locks may fail; %s", directory, kind, LOCAL_DISK)
             check_database_files(self.path, writing=True)
+            if refuse_foreign_journal(self.path):
+                _play_back(self.path)
             _refuse_what_lost_its_end(self.path)
             self._writer = open_database(self.path)
             undo.callback(self._writer.close)
@@ -224,6 +227,16 @@ class SqliteLog:
                 self._end()
             except StorageError as error:
                 logger.warning("the task log was not closed cleanly: %s", error.message)
+
+
+def _play_back(path: Path) -> None:
+    """Lets SQLite undo a change that was interrupted, which it does before it reads anything."""
+    with storage_errors(f"undo what was interrupted in the task log {path}"):
+        connection = connect(path)
+        try:
+            connection.execute("SELECT count(*) FROM sqlite_master").fetchone()
+        finally:
+            connection.close()
 
 
 def _refuse_what_lost_its_end(path: Path) -> None:

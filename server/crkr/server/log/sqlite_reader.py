@@ -18,7 +18,7 @@ from crkr.protocol import StorageError, UnknownTask, unpack
 from crkr.server.log.blocks import BLOCK_COLUMNS, columns_of
 from crkr.server.log.data_files import check_database_files
 from crkr.server.log.entries import Event, LoggedTrial
-from crkr.server.log.foreign_wal import refuse_foreign_wal
+from crkr.server.log.journal_check import refuse_foreign_wal
 from crkr.server.log.rows import ROW_COLUMNS, body_digest, check_row, trial_of, wire_of
 from crkr.server.log.schema import check_version, connect, read_errors, storage_errors
 

@@ -72,7 +72,7 @@ def check_database_files(path: Path, *, writing: bool = False) -> None:
             )
 
 
-def identity(path: Path) -> tuple[int, int] | None:
+def identity(path: Path | str) -> tuple[int, int] | None:
     """Which file stands under a name, by device and inode; None where there is none."""
     try:
         found = os.lstat(path)
@@ -81,9 +81,9 @@ def identity(path: Path) -> tuple[int, int] | None:
     return found.st_dev, found.st_ino
 
 
-def identities(path: Path) -> dict[Path, tuple[int, int] | None]:
+def identities(path: Path) -> dict[str, tuple[int, int] | None]:
     """Which files stand under the names of a database in use."""
-    return {beside: identity(beside) for beside in (path.with_name(path.name + suffix) for suffix in _IN_USE)}
+    return {name: identity(name) for name in (f"{path}{suffix}" for suffix in _IN_USE)}
 
 
 def _refuse_other_kinds(path: Path, mode: int) -> None:

@@ -41,6 +41,7 @@ class DirectoryLock:
 
     def __init__(self, directory: Path) -> None:
         self._path, self._lock = directory, directory / _NAME
+        self._name = str(self._lock)
         with ExitStack() as undo:
             try:
                 directory.mkdir(parents=True, exist_ok=True)
@@ -61,7 +62,7 @@ class DirectoryLock:
         Raises:
             StorageError: It was replaced, and another process holds what stands in its place.
         """
-        if self._locked is not None and identity(self._lock) == self._locked:
+        if self._locked is not None and identity(self._name) == self._locked:
             return
         before, self._file = self._file, self._locked_file()
         os.close(before)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import sqlite3
 import threading
 import time
@@ -12,7 +13,7 @@ from pathlib import Path
 from typing import Any, Final, final
 
 from crkr.protocol import Conflict, StorageError, TaskSpec, Trial, id_from_wire, pack, unpack
-from crkr.server.log.data_files import check_database_files, identities
+from crkr.server.log.data_files import check_database_files, identities, identity
 from crkr.server.log.directory_lock import DirectoryLock
 from crkr.server.log.entries import Event, LoggedTrial, PendingReport, Stored
 from crkr.server.log.file_system import LOCAL_DISK, file_system_of, is_remote
@@ -29,6 +30,7 @@ logger = logging.getLogger(__name__)
 _INSERT: Final = f"INSERT INTO trial (task, {TRIAL_COLUMNS}) VALUES ({', '.join('?' * 14)})"
 _FIND: Final = "SELECT seq, digest FROM trial WHERE task = ? AND id = ?"
 _ROW: Final = f"SELECT {ROW_COLUMNS} FROM trial WHERE task = ? AND id = ?"
+_TICK_NS: Final = 100_000_000  # longer than any file system's clock takes for a step
 _CLOSE_PATIENCE_S: Final = 0.5  # with a commit that is under way
 _MARK: Final = "UPDATE trial SET present_cost = ?, removed = ?, digest = ? WHERE task = ? AND id = ?"
 
@@ -55,6 +57,8 @@ class SqliteLog:
             self._writer = open_database(self.path)
             undo.callback(self._writer.close)
             self._files = identities(self.path)
+            self._where = str(directory)
+            self._directory: tuple[int, int, int] | None = None  # as it was when all names were looked at
             self.reads = SqliteReader(self.path)
             undo.callback(self.reads.close)
             self._last = self.reads.positions()
@@ -173,7 +177,6 @@ class SqliteLog:
             if self._closing:
                 raise StorageError(f"cannot {doing}: the task log is closed")
             self._refuse_moved_files(doing)
-            self._lock.check()
             self._writer.execute("BEGIN IMMEDIATE")
             self._added = 0
             try:
@@ -190,18 +193,34 @@ class SqliteLog:
                 self._end_if_closing()
 
     def _refuse_moved_files(self, doing: str) -> None:
-        """What SQLite stored in a file that has lost its name would be nowhere after the end."""
-        found = identities(self.path)
-        moved = next((path for path, which in self._files.items() if found[path] != which), None)
-        if moved is None:
+        """What SQLite stored in a file that has lost its name would be nowhere after the end.
+
+        A directory's time of change tells for all names in it, but not of two changes in one tick of the clock.
+        """
+        directory = self._look_at_directory()
+        if directory is not None and directory == self._directory:
             return
-        if moved != self.path and found[self.path] == self._files[self.path]:
+        moved = [name for name, which in self._files.items() if identity(name) != which]
+        if not moved:
+            self._lock.check()
+            settled = directory is not None and time.time_ns() - directory[2] > _TICK_NS
+            self._directory = directory if settled else None
+            return
+        if str(self.path) not in moved:
             with suppress(sqlite3.Error):  # what only the lost file holds is brought into the database
                 self._writer.execute("PRAGMA wal_checkpoint(FULL)")
         raise StorageError(
-            f"cannot {doing}: the task log {moved} was moved, removed or replaced while the server runs; put it back, "
-            "or restart the server"
+            f"cannot {doing}: the task log {moved[0]} was moved, removed or replaced while the server runs; put it "
+            "back, or restart the server"
         )
+
+    def _look_at_directory(self) -> tuple[int, int, int] | None:
+        """Which directory that is, and when a name in it changed last [ns]."""
+        try:
+            found = os.stat(self._where)
+        except OSError:
+            return None
+        return found.st_dev, found.st_ino, found.st_mtime_ns
 
     def _refuse_changes_of_others(self, doing: str) -> None:
         """Notices inside a transaction that another process wrote, by the one number that SQLite keeps of that."""

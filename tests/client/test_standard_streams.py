@@ -102,10 +102,17 @@ sys.argv = ["crkr", "--version"]
 import importlib.metadata
 def fail(package):
     raise RuntimeError("\\x1b[2J")
-importlib.metadata.version = fail
+import threading
+thread = threading.Thread(target=fail, args=("",))
+def both(*words):
+    thread.start()
+    thread.join()
+    fail(words)
+importlib.metadata.version = both
 main()
 """
     done = subprocess.run([sys.executable, "-c", program], check=False, capture_output=True, text=True, timeout=60)
     assert done.returncode == 1
-    assert done.stderr.startswith("Traceback")
+    assert done.stderr.startswith("Exception in thread Thread-1")
+    assert done.stderr.count("RuntimeError: \\x1b[2J\n") == 2
     assert done.stderr.endswith("RuntimeError: \\x1b[2J\n")

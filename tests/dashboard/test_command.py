@@ -16,6 +16,12 @@ import pytest
 from crkr.client import Task
 
 Watch = Callable[..., subprocess.Popen[str]]
+LEADS_A_SESSION = """
+import fcntl, os, sys, termios
+os.setsid()
+fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+os.execv(sys.argv[1], sys.argv[1:])
+"""
 PATIENCE_S = 60.0  # no promise, just no hang
 
 
@@ -84,14 +90,16 @@ def test_a_closed_terminal_completes_the_recording(crane: Task, server: Any, tmp
     report(crane, 120)
     file = tmp_path / "run.rrd"
     words = ["watch", "crane", "--connect", server.endpoint, "--save", str(file), "--log-level", "info"]
-    pid, terminal = pty.fork()
-    if pid == 0:
-        os.execv(sys.executable, [sys.executable, "-m", "crkr.client", *words])
-    written = b""
-    while b"caught up with" not in written:
-        written += os.read(terminal, 4096)
-    os.close(terminal)  # the kernel hangs up, and what is printed from now on fails
-    assert os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 0
+    # In a session whose terminal this is, which is hung up as it is closed.
+    command = [sys.executable, "-c", LEADS_A_SESSION, sys.executable, "-m", "crkr.client", *words]
+    ours, theirs = pty.openpty()
+    with subprocess.Popen(command, stdin=theirs, stdout=theirs, stderr=theirs) as process:
+        os.close(theirs)
+        written = b""
+        while b"caught up with" not in written:
+            written += os.read(ours, 4096)
+        os.close(ours)  # what is printed from now on fails
+        assert process.wait(PATIENCE_S) == 0
     assert rows(file, "/cost/success") == 120
 
 

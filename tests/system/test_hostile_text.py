@@ -34,21 +34,23 @@ SPEC = {
 
 def on_terminal(*words: str, until: str | None = None, columns: int = 200) -> str:
     """What a command writes to a terminal, to its end or until it wrote something."""
-    pid, terminal = pty.fork()
-    if pid == 0:
-        environment = {**os.environ, "TERM": "xterm-256color", "COLUMNS": str(columns), "LINES": "80"}
-        os.execve(sys.executable, [sys.executable, "-m", "crkr.client", *words], environment)
-    written, deadline = b"", time.monotonic() + PATIENCE_S
-    while until is None or until.encode() not in written:
-        if not select.select([terminal], [], [], max(0.0, deadline - time.monotonic()))[0]:
-            pytest.fail(f"waited in vain for {until!r}: {written!r}")
-        try:
-            data = os.read(terminal, 65536)
-        except OSError:  # the command has ended
-            break
-        written += data
-    os.close(terminal)  # a hang-up
-    os.waitpid(pid, 0)
+    ours, theirs = pty.openpty()
+    environment = {**os.environ, "TERM": "xterm-256color", "COLUMNS": str(columns), "LINES": "80"}
+    command = [sys.executable, "-m", "crkr.client", *words]
+    with subprocess.Popen(command, stdin=theirs, stdout=theirs, stderr=theirs, env=environment) as process:
+        os.close(theirs)
+        written, deadline = b"", time.monotonic() + PATIENCE_S
+        while until is None or until.encode() not in written:
+            if not select.select([ours], [], [], max(0.0, deadline - time.monotonic()))[0]:
+                process.kill()
+                pytest.fail(f"waited in vain for {until!r}: {written!r}")
+            try:
+                data = os.read(ours, 65536)
+            except OSError:  # the command has ended
+                break
+            written += data
+        os.close(ours)
+        process.terminate()
     return written.decode()
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+import threading
 from traceback import format_exception
 from types import TracebackType
 from typing import Final
@@ -20,6 +21,7 @@ def main() -> None:
     for name in _THREADS:
         os.environ.setdefault(name, "1")
     sys.excepthook = _tell_defect  # before Typer looks for it
+    threading.excepthook = _tell_defect_of_a_thread
     from crkr.client.frame import build
     from crkr.client.standard_streams import READER_GONE, discard_output, flushed, open_streams
 
@@ -43,3 +45,9 @@ def _tell_defect(kind: type[BaseException], error: BaseException, trace: Traceba
     from crkr.protocol import printable
 
     sys.stderr.write(printable("".join(format_exception(kind, error, trace)), keep="\n"))
+
+
+def _tell_defect_of_a_thread(ended: threading.ExceptHookArgs) -> None:
+    if ended.exc_value is not None and not isinstance(ended.exc_value, SystemExit):
+        sys.stderr.write(f"Exception in thread {ended.thread.name if ended.thread else '?'}:\n")
+        _tell_defect(ended.exc_type, ended.exc_value, ended.exc_traceback)

@@ -1,10 +1,9 @@
 """A file system without locks, or without memory that processes share, is told with what to do.
 
-The kernel itself refuses: a filter of system calls, installed in a child before it starts, fails `flock`, `fcntl` or a
-shared mapping as such file systems do.
+The kernel itself refuses: a filter of system calls, installed in a child before it opens a log, fails `flock`, `fcntl`
+or a shared mapping as such file systems do.
 """
 
-import ctypes
 import errno
 import platform
 import struct
@@ -21,18 +20,26 @@ CALLS = {
     "x86_64": (0xC000003E, {"flock": 73, "fcntl": 72, "mmap": 9}),
     "aarch64": (0xC00000B7, {"flock": 32, "fcntl": 25, "mmap": 222}),
 }
+# Installs the filter that its second argument says, and opens a log.
 OPEN = """
-import sys
+import ctypes, struct, sys
 from pathlib import Path
 from crkr.protocol import StorageError
 from crkr.server.log import SqliteLog
+program = bytes.fromhex(sys.argv[2])
+code = ctypes.create_string_buffer(program, len(program))
+filters = ctypes.create_string_buffer(struct.pack("HxxxxxxP", len(program) // 8, ctypes.addressof(code)))
+library = ctypes.CDLL(None, use_errno=True)
+NO_NEW_PRIVS, SECCOMP, FILTER = 38, 22, 2
+library.prctl(NO_NEW_PRIVS, 1, 0, 0, 0)
+if library.prctl(SECCOMP, FILTER, filters):
+    raise OSError(ctypes.get_errno(), "no filter")
 try:
     SqliteLog(Path(sys.argv[1])).close()
 except StorageError as error:
     sys.exit(error.message)
 """
 _F_SETLK, _MAP_SHARED = 6, 1
-_PR_SET_NO_NEW_PRIVS, _PR_SET_SECCOMP = 38, 22
 
 
 def refusing(call: str, number: int, argument: int | None = None, equal: int = 0) -> bytes:
@@ -60,17 +67,8 @@ def refusing(call: str, number: int, argument: int | None = None, equal: int = 0
 
 def opened(directory: Path, program: bytes) -> subprocess.CompletedProcess[str]:
     """Opens a log in a process under the filter."""
-    library = ctypes.CDLL(None, use_errno=True)
-    code = ctypes.create_string_buffer(program, len(program))
-    filters = ctypes.create_string_buffer(struct.pack("HxxxxxxP", len(program) // 8, ctypes.addressof(code)))
-
-    def install() -> None:
-        library.prctl(_PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0)
-        if library.prctl(_PR_SET_SECCOMP, 2, filters):
-            raise OSError(ctypes.get_errno(), "no filter")
-
-    command = [sys.executable, "-c", OPEN, str(directory)]
-    return subprocess.run(command, check=False, preexec_fn=install, capture_output=True, text=True, timeout=60)
+    command = [sys.executable, "-c", OPEN, str(directory), program.hex()]
+    return subprocess.run(command, check=False, capture_output=True, text=True, timeout=60)
 
 
 @pytest.mark.parametrize("number", [errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS])

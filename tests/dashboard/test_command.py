@@ -1,4 +1,5 @@
 import os
+import pty
 import signal
 import socket
 import subprocess
@@ -15,6 +16,12 @@ import pytest
 from crkr.client import Task
 
 Watch = Callable[..., subprocess.Popen[str]]
+LEADS_A_SESSION = """
+import fcntl, os, sys, termios
+os.setsid()
+fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+os.execv(sys.argv[1], sys.argv[1:])
+"""
 PATIENCE_S = 60.0  # no promise, just no hang
 
 
@@ -54,7 +61,7 @@ def report(task: Task, count: int) -> None:
     task.report(state=[[5.0]] * count, goal=[[0.1]] * count, cost=0.5, success=True, worker="crane-1")
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_completes_the_recording_and_ends_the_page(
     crane: Task, server: Any, watch: Watch, tmp_path: Path, number: signal.Signals
 ) -> None:
@@ -67,6 +74,8 @@ def test_a_signal_completes_the_recording_and_ends_the_page(
         assert answer.status == 200
     line_with(process.stderr, "caught up with 120 trials")
     process.send_signal(number)
+    if number == signal.SIGHUP:
+        process.send_signal(number)  # shell and kernel both send one
     _, rest = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0, rest
     assert f"recording: {file}" in rest
@@ -75,6 +84,23 @@ def test_a_signal_completes_the_recording_and_ends_the_page(
     assert rows(file, "/cost/success") == 120
     (guide,) = [batch.column("TextDocument:text")[0].as_py() for batch in batches(file, "/guide")]
     assert "Lift loads." in guide[0]
+
+
+def test_a_closed_terminal_completes_the_recording(crane: Task, server: Any, tmp_path: Path) -> None:
+    report(crane, 120)
+    file = tmp_path / "run.rrd"
+    words = ["watch", "crane", "--connect", server.endpoint, "--save", str(file), "--log-level", "info"]
+    # In a session whose terminal this is, which is hung up as it is closed.
+    command = [sys.executable, "-c", LEADS_A_SESSION, sys.executable, "-m", "crkr.client", *words]
+    ours, theirs = pty.openpty()
+    with subprocess.Popen(command, stdin=theirs, stdout=theirs, stderr=theirs) as process:
+        os.close(theirs)
+        written = b""
+        while b"caught up with" not in written:
+            written += os.read(ours, 4096)
+        os.close(ours)  # what is printed from now on fails
+        assert process.wait(PATIENCE_S) == 0
+    assert rows(file, "/cost/success") == 120
 
 
 def rows(file: Path, entity: str) -> int:

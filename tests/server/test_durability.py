@@ -160,6 +160,8 @@ def test_a_second_server_refuses_the_data_directory_and_the_port(start_server: S
     line = refusal("--data", str(tmp_path / "other"), "--listen", server.endpoint)
     assert server.endpoint in line
     assert "the port is in use" in line
+    (server.data / "lock").unlink()  # it looks stale
+    assert "in use by another process" in refusal("--data", str(server.data), "--listen", "tcp/127.0.0.1:0")
 
 
 def test_a_server_that_cannot_start_says_why_in_one_line_and_leaves(tmp_path: Path) -> None:

@@ -7,20 +7,65 @@ import logging
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, is_dataclass
-from typing import Any, Final
+from typing import Any, Final, final
 from uuid import UUID
 
 import typer
-from rich.console import Console
+from rich.console import Console, ConsoleOptions, RenderableType
 from rich.logging import RichHandler
-from rich.table import Table
+from rich.segment import Segment
+from rich.table import Column, Table
+from rich.text import Text
+
+from crkr.client.standard_streams import READER_GONE, discard_output
+from crkr.protocol import LogFormatter, printable
 
 __all__ = ["LEVELS", "configure_logging", "json_data", "print_json", "print_table", "stderr", "stdout", "tidy"]
 
 LEVELS: Final = ("debug", "info", "warning", "error")
-# Text from users and servers is printed as it is: no markup, no highlighting, no wrapping of plain lines.
-stdout: Final = Console(soft_wrap=True, markup=False, highlight=False, emoji=False)
-stderr: Final = Console(soft_wrap=True, markup=False, highlight=False, emoji=False, stderr=True)
+
+
+@final
+class PlainConsole(Console):
+    """Prints text from users and servers as it is: no markup, no highlighting, no wrapping of plain lines.
+
+    Only what would act on a terminal is written out. A reader of standard output who leaves ends the process; standard
+    error that cannot be written is done without.
+    """
+
+    def __init__(self, *, stderr: bool = False) -> None:
+        super().__init__(soft_wrap=True, markup=False, highlight=False, emoji=False, stderr=stderr)
+
+    def render_str(self, text: str, **options: Any) -> Text:
+        """A string as one line, before its width is measured."""
+        return super().render_str(printable(text), **options)
+
+    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
+        """Whatever else is printed, such as `Text` of a table or a bar."""
+        for segment in super().render(renderable, options):
+            if segment.control or segment.text.isprintable():
+                yield segment
+            else:
+                yield Segment(printable(segment.text, keep="\n"), segment.style)
+
+    def on_broken_pipe(self) -> None:
+        """Called where the reader has left."""
+        self.quiet = True
+        if not self.stderr:
+            discard_output()
+            raise SystemExit(READER_GONE)
+
+    def _check_buffer(self) -> None:
+        try:
+            super()._check_buffer()
+        except OSError as error:
+            self._buffer.clear()
+            if not self.stderr:
+                raise OSError(f"standard output cannot be written: {error.strerror}") from error
+
+
+stdout: Final = PlainConsole()
+stderr: Final = PlainConsole(stderr=True)
 
 
 def json_data(value: Any) -> Any:
@@ -54,22 +99,23 @@ def tidy(value: Any) -> str:
 
 def print_json(value: Any) -> None:
     """Prints one JSON value on one line of standard output."""
-    stdout.out(json.dumps(json_data(value), allow_nan=False))
+    stdout.out(json.dumps(json_data(value), allow_nan=False).replace("\x7f", "\\u007f"))  # JSON lets DEL stand
 
 
 def print_table(columns: Sequence[str], rows: Iterable[Sequence[object]], title: str | None = None) -> None:
-    """Prints a table; aligned plain lines where nobody watches."""
-    cells = [[str(cell) for cell in row] for row in rows]
+    """Prints a table, whose cells take more lines on a narrow terminal; aligned plain lines where nobody watches."""
+    columns = [printable(column) for column in columns]
+    cells = [[printable(str(cell)) for cell in row] for row in rows]
     if stdout.is_terminal:
-        table = Table(*columns, title=title, title_justify="left")
+        table = Table(*(Column(name, overflow="fold") for name in columns), title=title, title_justify="left")
         for row in cells:
             table.add_row(*row)
         stdout.print(table, soft_wrap=False)
         return
     if title:
         stdout.print(title)
-    widths = [max(len(row[column]) for row in [list(columns), *cells]) for column in range(len(columns))]
-    for row in [list(columns), *cells]:
+    widths = [max(len(row[column]) for row in [columns, *cells]) for column in range(len(columns))]
+    for row in [columns, *cells]:
         stdout.print("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
 
 
@@ -84,4 +130,5 @@ def configure_logging(level: str) -> None:
     on_terminal = stderr.is_terminal
     handler = RichHandler(console=stderr, show_path=False) if on_terminal else logging.StreamHandler()
     layout = "%(message)s" if on_terminal else "%(asctime)s %(levelname)-7s %(name)s: %(message)s"
-    logging.basicConfig(level=level.upper(), handlers=[handler], format=layout, force=True)
+    handler.setFormatter(LogFormatter(layout))
+    logging.basicConfig(level=level.upper(), handlers=[handler], force=True)

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
+from contextlib import suppress
 from importlib.util import find_spec
 from typing import Final
 
 import typer
 
-from crkr.protocol import CrkrError
+from crkr.client.standard_streams import READER_GONE, discard_output
+from crkr.protocol import CrkrError, printable
 
 __all__ = ["guarded", "reason_missing", "require"]
 
@@ -53,12 +55,14 @@ def guarded(function: Callable[..., object], command: str, module: str) -> Calla
             if (error.name or "").split(".")[0] not in _EXTRAS:
                 raise
             raise _failed(reason_missing(error, command, module)) from error
-        except BrokenPipeError:
-            raise  # the reader has gone; Typer leaves quietly
+        except BrokenPipeError as error:  # whatever read the output has enough of it
+            discard_output()
+            raise typer.Exit(READER_GONE) from error
         except OSError as error:
             raise _failed(str(error)) from error
         except KeyboardInterrupt as error:
-            typer.echo("interrupted", err=True)
+            with suppress(OSError):
+                typer.echo("interrupted", err=True)
             raise typer.Exit(130) from error
 
     return run
@@ -88,5 +92,6 @@ def reason_missing(error: Exception, command: str, module: str) -> str:
 
 
 def _failed(message: str) -> typer.Exit:
-    typer.echo(f"error: {message}", err=True)
+    with suppress(OSError):  # nobody is there to read it
+        typer.echo(f"error: {printable(message)}", err=True)
     return typer.Exit(1)

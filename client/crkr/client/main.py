@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import os
 import sys
+import threading
+from traceback import format_exception
+from types import TracebackType
 from typing import Final
 
 __all__ = ["main"]
@@ -17,6 +20,34 @@ def main() -> None:
     """Runs `crkr` with the process's arguments."""
     for name in _THREADS:
         os.environ.setdefault(name, "1")
+    sys.excepthook = _tell_defect  # before Typer looks for it
+    threading.excepthook = _tell_defect_of_a_thread
     from crkr.client.frame import build
+    from crkr.client.standard_streams import READER_GONE, discard_output, flushed, open_streams
 
-    build(sys.argv[1:])(prog_name="crkr")
+    open_streams()
+    try:
+        build(sys.argv[1:])(prog_name="crkr")
+        status = 0
+    except SystemExit as end:
+        status = end.code if isinstance(end.code, int) else int(end.code is not None)
+        if isinstance(end.__context__, BrokenPipeError):  # Typer and Rich make it 1
+            status = READER_GONE
+    except OSError as error:  # of help and version, which are printed outside every command
+        sys.stderr.write(f"error: standard output cannot be written: {error.strerror}\n")
+        discard_output()
+        status = 1
+    sys.exit(flushed(status))
+
+
+def _tell_defect(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+    """A traceback may quote what others sent."""
+    from crkr.protocol import printable
+
+    sys.stderr.write(printable("".join(format_exception(kind, error, trace)), keep="\n"))
+
+
+def _tell_defect_of_a_thread(ended: threading.ExceptHookArgs) -> None:
+    if ended.exc_value is not None and not isinstance(ended.exc_value, SystemExit):
+        sys.stderr.write(f"Exception in thread {ended.thread.name if ended.thread else '?'}:\n")
+        _tell_defect(ended.exc_type, ended.exc_value, ended.exc_traceback)

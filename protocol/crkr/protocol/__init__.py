@@ -50,6 +50,7 @@ from crkr.protocol.keys import (
     task_key,
 )
 from crkr.protocol.make_trials import make_trials
+from crkr.protocol.plain_text import LogFormatter, printable
 from crkr.protocol.predict import Prediction, PredictRequest, check_states
 from crkr.protocol.report import Receipt, ReportRequest, StoredTrial
 from crkr.protocol.settings import Exploration, KernelSettings
@@ -80,6 +81,7 @@ __all__ = [
     "Internal",
     "Invalid",
     "KernelSettings",
+    "LogFormatter",
     "Neighbour",
     "NoSamples",
     "NovelState",
@@ -122,6 +124,7 @@ __all__ = [
     "most_states_answered",
     "pack",
     "pack_around",
+    "printable",
     "pub_key",
     "random_ids",
     "rpc_key",

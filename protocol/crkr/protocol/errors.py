@@ -19,6 +19,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, ClassVar, Final, final
 
+from crkr.protocol.plain_text import printable
+
 __all__ = [
     "Busy",
     "Conflict",
@@ -162,8 +164,11 @@ def error_to_wire(error: CrkrError) -> dict[str, Any]:
 
 
 def error_from_wire(body: Mapping[str, Any]) -> CrkrError:
-    """The exception for an error reply; an unknown code becomes `Internal` that names it."""
-    code, message = str(body.get("code", "")), str(body.get("message", ""))
+    """The exception for an error reply; an unknown code becomes `Internal` that names it.
+
+    Programs print its message, so it holds no control characters, whatever answered.
+    """
+    code, message = str(body.get("code", "")), printable(str(body.get("message", "")))
     retry_ms, details = body.get("retry_ms"), body.get("details")
     kind = _ON_THE_WIRE.get(code)
     if kind is None:

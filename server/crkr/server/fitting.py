@@ -13,8 +13,9 @@ from multiprocessing.connection import Connection
 from typing import Any, Final, final
 
 from crkr.learner import FitProblem, FitResult, fit
-from crkr.protocol import CrkrError, Internal, ShuttingDown
+from crkr.protocol import CrkrError, Internal, ShuttingDown, Unsupported
 from crkr.server.administration import Change
+from crkr.server.installed_code import InstalledCode
 from crkr.server.lane import shutting_down
 from crkr.server.learning import Learning
 from crkr.server.request import Job, Request
@@ -68,6 +69,7 @@ class Fitting:
         self._process: multiprocessing.process.BaseProcess | None = None
         self._pipe: Connection | None = None
         self._stopped = threading.Event()
+        self._code = InstalledCode()
 
     def work(self, jobs: list[Job]) -> None:
         """Fits, stores what was better, and answers."""
@@ -130,6 +132,11 @@ class Fitting:
 
     def _start(self) -> Connection:
         if self._pipe is None or self._process is None or not self._process.is_alive():
+            if self._code.is_replaced:
+                raise Unsupported(
+                    "crkr was upgraded or removed while this server runs, and a fit takes a new process: restart the "
+                    "server, and ask again"
+                )
             context = multiprocessing.get_context("spawn")  # a fork would inherit Zenoh's threads half
             self._pipe, theirs = context.Pipe()
             self._process = context.Process(target=_serve, args=(theirs,), name="fit", daemon=True)

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import IO, Final, final
 
 from crkr.protocol import StorageError
+from crkr.server.installed_code import InstalledCode
 from crkr.server.log import SqliteReader
 
 __all__ = ["SealCheck"]
@@ -43,6 +44,7 @@ class SealCheck:
         self._path, self._tasks, self._damaged = path, dict(tasks), damaged
         self._stopped, self._starting = threading.Event(), threading.Lock()
         self._process: subprocess.Popen[str] | None = None
+        self._code = InstalledCode()
         self._thread = threading.Thread(target=self._run, name="seals", daemon=True)
 
     def start(self) -> None:
@@ -61,6 +63,9 @@ class SealCheck:
 
     def _run(self) -> None:
         if self._stopped.wait(_DELAY_S):
+            return
+        if self._code.is_replaced:
+            logger.warning("the rows of the task log are not looked over: crkr was upgraded or removed; restart it")
             return
         # -P: a file in the working directory that is called as a module of Python's is not one.
         command = [sys.executable, "-P", "-m", "crkr.server.seal_check", str(self._path), json.dumps(self._tasks)]

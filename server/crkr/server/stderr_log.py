@@ -13,6 +13,8 @@ import threading
 from collections.abc import Callable
 from typing import Final, final
 
+from crkr.protocol import LogFormatter
+
 __all__ = ["StderrLog"]
 
 _FORMAT: Final = "%(asctime)s %(levelname)s %(name)s: %(message)s"
@@ -30,7 +32,9 @@ class StderrLog:
     def __init__(self, level: int) -> None:
         self._waiting: queue.Queue[str | threading.Event] = queue.Queue(_MOST)
         self._lost = 0
-        logging.basicConfig(level=level, format=_FORMAT, handlers=[_Handler(self.add)])
+        handler = _Handler(self.add)
+        handler.setFormatter(LogFormatter(_FORMAT))
+        logging.basicConfig(level=level, handlers=[handler])
         threading.Thread(target=self._run, name="log", daemon=True).start()
 
     def add(self, item: str | threading.Event) -> None:

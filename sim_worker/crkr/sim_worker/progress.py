@@ -11,6 +11,8 @@ from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
 from rich.progress import Progress as Bar
 from rich.text import Text
 
+from crkr.protocol import printable
+
 __all__ = ["Progress"]
 
 EVERY_S: Final = 3.0
@@ -32,7 +34,11 @@ class Progress:
         self._title = title
         self._total = total
         self._unit = unit
-        columns = (TextColumn("[bold]{task.description}"), BarColumn(), TextColumn("{task.fields[count]}"))
+        columns = (
+            TextColumn("{task.description}", "bold", markup=False),
+            BarColumn(),
+            TextColumn("{task.fields[count]}"),
+        )
         self._bar = Bar(*columns, TimeElapsedColumn())
         self._task = self._bar.add_task(title, total=total, count=self._count(0))
         self._text = Text(style="dim")
@@ -56,7 +62,7 @@ class Progress:
     def show(self, done: int, text: str = "", *, now: bool = False) -> None:
         """Says that `done` are done; `now` prints a plain line even if the last was just printed."""
         self._bar.update(self._task, completed=done, count=self._count(done))
-        self._text.plain = text
+        self._text.plain = printable(text)
         if self._console.is_terminal or not (now or time.monotonic() >= self._due):
             return
         self._due = time.monotonic() + EVERY_S

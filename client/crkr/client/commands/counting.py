@@ -19,7 +19,7 @@ _EVERY_S: Final = 3.0
 @contextmanager
 def counting(title: str, total: int) -> Iterator[Callable[[int], None]]:
     """Gives what is to be told how many of `total` are done."""
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with Progress(*columns, console=stderr, transient=True, disable=not stderr.is_terminal) as bar:
         shown = bar.add_task(title, total=total)
         said = time.monotonic()

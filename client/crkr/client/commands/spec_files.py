@@ -64,7 +64,7 @@ def write_spec(spec: TaskSpec, path: Path) -> None:
     """
     text = "{\n" + ",\n".join(_fields(spec)) + "\n}\n"
     if path == STANDARD_OUTPUT:
-        sys.stdout.write(text)
+        sys.stdout.write(text.replace("\x7f", "\\u007f"))  # JSON lets DEL stand
         return
     if path.suffix != ".json":
         raise Invalid(f"a specification is written as JSON; name the file .json, not {path.name}")

@@ -18,6 +18,7 @@ from crkr.dashboard.rerun_view.recording import Recording
 from crkr.dashboard.rerun_view.stage import Stage
 from crkr.dashboard.telemetry import Telemetry
 from crkr.dashboard.view import NOT_STORED
+from crkr.protocol import printable
 
 __all__ = ["RerunDisplay"]
 
@@ -85,7 +86,7 @@ class RerunDisplay:
     def say(self, message: str, *, warning: bool = False) -> None:
         """Adds a line to the log panel."""
         level = rr.TextLogLevel.WARN if warning else rr.TextLogLevel.INFO
-        self._recording.at(self._times, ["log"], rr.TextLog(message, level=level))
+        self._recording.at(self._times, ["log"], rr.TextLog(printable(message), level=level))
 
     def tick(self, now: float, progress: Progress) -> None:
         """Sends what is due."""

@@ -8,6 +8,7 @@ from typing import Any, Final
 
 from crkr.dashboard.facts import latency_ms, percent, reason_rows, worker_rows
 from crkr.dashboard.progress import WINDOW, Progress
+from crkr.protocol import printable
 
 __all__ = ["guide_page", "outcomes_page", "status_page"]
 
@@ -95,7 +96,7 @@ def _table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> list[str]:
 
 def _plain(text: str) -> str:
     """Text from elsewhere without what markdown would read as markup."""
-    return re.sub(r"([\\`*_{}\[\]<>()#|!~])", r"\\\1", " ".join(text.split()))
+    return re.sub(r"([\\`*_{}\[\]<>()#|!~])", r"\\\1", printable(" ".join(text.split())))
 
 
 def _number(value: object) -> str:

@@ -16,7 +16,9 @@ import numpy as np
 from crkr.learner import TrialColumns
 from crkr.protocol import StorageError, UnknownTask, unpack
 from crkr.server.log.blocks import BLOCK_COLUMNS, columns_of
+from crkr.server.log.data_files import check_database_files
 from crkr.server.log.entries import Event, LoggedTrial
+from crkr.server.log.journal_check import refuse_foreign_wal
 from crkr.server.log.rows import ROW_COLUMNS, body_digest, check_row, trial_of, wire_of
 from crkr.server.log.schema import check_version, connect, read_errors, storage_errors
 
@@ -47,13 +49,20 @@ class SqliteReader:
     """
 
     def __init__(self, path: Path) -> None:
+        check_database_files(path)
         if not path.is_file() or not path.stat().st_size:  # beside an empty database SQLite deletes the write-ahead log
             raise StorageError(f"there is no task log {path}")
         self.path = path
         self._threads = threading.local()
         self._open: list[tuple[threading.Thread, sqlite3.Connection]] = []
-        with read_errors(f"open the task log {path}"):
-            self.is_log: Final = check_version(self._connection(), path)
+        try:
+            with read_errors(f"open the task log {path}"):
+                self.is_log: Final = check_version(self._connection(), path)
+                if self.is_log:
+                    refuse_foreign_wal(self._connection(), path)
+        except StorageError:
+            self.close()
+            raise
 
     def tasks(self) -> tuple[str, ...]:
         """Names of all tasks, oldest first."""
@@ -181,6 +190,9 @@ class SqliteReader:
         partial = target.with_name(f"{target.name}.{os.getpid()}.partial")  # another backup's is not ours to end
         try:
             with storage_errors(f"back up to {target}"):
+                os.close(
+                    os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
+                )  # no link's target
                 copy = sqlite3.connect(partial)
                 try:
                     self._connection().backup(copy)

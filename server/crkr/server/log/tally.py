@@ -15,6 +15,7 @@ from typing import Final, final
 from zlib import crc32
 
 from crkr.protocol import StorageError
+from crkr.server.log.data_files import open_data_file
 
 __all__ = ["TALLY_NAME", "Tally", "lost_end", "read_tally"]
 
@@ -22,6 +23,7 @@ logger = logging.getLogger(__name__)
 
 TALLY_NAME: Final = "acknowledged"
 _LINE: Final = re.compile(rb"(\d{20}) ([0-9a-f]{8})\n")
+_LINE_BYTES: Final = 30
 
 
 @final
@@ -35,9 +37,13 @@ class Tally:
     def __init__(self, directory: Path, positions: int) -> None:
         path = directory / TALLY_NAME
         try:
-            self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+            self._file = open_data_file(path, os.O_RDWR | os.O_CREAT)
+            if os.fstat(self._file).st_nlink > 1:  # it is another program's file too
+                os.close(self._file)
+                path.unlink()
+                self._file = open_data_file(path, os.O_RDWR | os.O_CREAT | os.O_EXCL)
             os.pwrite(self._file, _line(positions), 0)
-            os.ftruncate(self._file, len(_line(0)))
+            os.ftruncate(self._file, _LINE_BYTES)
         except OSError as error:
             raise StorageError(f"{path} cannot be written: {error.strerror}") from error
 
@@ -58,11 +64,15 @@ def read_tally(directory: Path) -> int:
     """How many log positions were acknowledged for certain; 0 where nobody kept it.
 
     Raises:
-        StorageError: It cannot be read.
+        StorageError: It cannot be read, or is no plain file.
     """
     path = directory / TALLY_NAME
     try:
-        data = path.read_bytes()
+        file = open_data_file(path, os.O_RDONLY)
+        try:
+            data = os.read(file, _LINE_BYTES + 1)
+        finally:
+            os.close(file)
     except FileNotFoundError:
         return 0
     except OSError as error:

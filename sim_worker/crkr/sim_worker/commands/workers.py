@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import signal
 import sys
-from typing import Annotated, Final
+from typing import Annotated
 
 import typer
 
@@ -12,8 +12,6 @@ from crkr.client.console import configure_logging, print_json, stderr
 from crkr.client.options import Connect, Json, LogLevel, Timeout, ZenohConfig
 
 __all__ = ["workers"]
-
-TERMINATED: Final = 128 + signal.SIGTERM
 
 Skill = Annotated[str, typer.Argument(help="An installed skill, or your own as package.module:factory.")]
 Workers = Annotated[int, typer.Option("-n", "--workers", min=1, max=256, help="Training processes.")]
@@ -68,7 +66,7 @@ def workers(
 
     Creates the skill's task, or joins it, records the demonstrations it
     lacks, and runs trials in as many processes as asked. Ctrl-C ends them
-    all with a summary (status 130; 143 for SIGTERM); a run is taken up
+    all with a summary (status 130; 143 for SIGTERM, 129 for SIGHUP); a run is taken up
     where it was left.
 
     Example: crkr workers table-tennis -n 4 --trials 1500
@@ -81,7 +79,9 @@ def workers(
     from crkr.sim_worker.skill import SkillOptions
 
     configure_logging(log_level)
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(TERMINATED))  # as process 1 of a container it has no default
+    for number in (signal.SIGTERM, signal.SIGHUP):  # as process 1 of a container they have no default
+        if signal.getsignal(number) is not signal.SIG_IGN:  # by nohup
+            signal.signal(number, lambda number, _: sys.exit(128 + number))
     options = SkillOptions(environment=environment, launcher=launcher, preset=preset, name=task, seed=seed or 0)
     with Client(connect, zenoh_config=zenoh_config) as client:
         endpoint = client.endpoint

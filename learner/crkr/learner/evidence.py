@@ -28,6 +28,7 @@ __all__ = ["FitProblem", "FitResult", "fit", "log_evidence"]
 
 _LENGTHSCALE_RANGE: Final = (0.05, 20.0)  # times those of the task's creation
 _VARIANCE_RANGE: Final = (1e-3, 1e3)
+_LOG_NUMBERS: Final = (-690.0, 690.0)  # beyond, exp is no number to compute with
 _MAX_ITERATIONS: Final = 60
 _UNREACHABLE: Final = 1e25  # stands for an infinite objective, which L-BFGS cannot step back from
 
@@ -144,6 +145,7 @@ def fit(problem: FitProblem) -> FitResult:
     log_reference, log_variance = np.log(problem.reference), np.log(problem.signal_variance)
     low = np.append(log_reference + np.log(_LENGTHSCALE_RANGE[0]), np.log(_VARIANCE_RANGE[0]))
     high = np.append(log_reference + np.log(_LENGTHSCALE_RANGE[1]), np.log(_VARIANCE_RANGE[1]))
+    low, high = np.maximum(low, _LOG_NUMBERS[0]), np.minimum(high, _LOG_NUMBERS[1])
     start = np.append(np.log(problem.lengthscales), log_variance)
     at_start = log_evidence(problem, start)
     before = at_start[0]

@@ -122,8 +122,8 @@ class Knowledge:
         changed = [(row, cost) for row, cost in zip(rows, values, strict=True) if self.store.costs[row] != cost]
         for row, cost in changed:
             self.store.recost(row, cost)
-            if not (self._deferred or self.store.removed[row]):
-                self.selection.recost(row)
+        if not self._deferred:
+            self.selection.recost([row for row, _ in changed if not self.store.removed[row]])
         self.version = seq
         self._refresh(any(row in self._names for row, _ in changed))
         return len(changed)
@@ -140,10 +140,10 @@ class Knowledge:
         self.eligible_count -= int(np.count_nonzero(leaving))
         for row in rows:
             self.store.remove(row)
-            if not self._deferred:
-                self.selection.remove(row)
-        if self._guided is not None and not self._deferred:
-            self._guided.remove(rows)
+        if not self._deferred:
+            self.selection.remove(rows)
+            if self._guided is not None:
+                self._guided.remove(rows)
         self.version = seq
         self._refresh(any(self.store.is_demonstration(row) for row in rows))
         return len(rows)

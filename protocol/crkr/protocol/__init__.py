@@ -48,6 +48,7 @@ from crkr.protocol.keys import (
     split_key,
     task_key,
 )
+from crkr.protocol.limits import MOST_ACTIVE, MOST_KEPT, refuse_absurd
 from crkr.protocol.make_trials import make_trials
 from crkr.protocol.predict import Prediction, PredictRequest, check_states
 from crkr.protocol.report import Receipt, ReportRequest, StoredTrial
@@ -64,6 +65,8 @@ __all__ = [
     "MAX_STATES",
     "MAX_TELEMETRY_BYTES",
     "MAX_TRIALS",
+    "MOST_ACTIVE",
+    "MOST_KEPT",
     "PROTOCOL_VERSION",
     "SERVER_VERBS",
     "TASK_VERBS",
@@ -117,6 +120,7 @@ __all__ = [
     "pack",
     "pub_key",
     "random_ids",
+    "refuse_absurd",
     "rpc_key",
     "split_key",
     "task_id",

@@ -13,7 +13,7 @@ from crkr.client.rpc import Rpc, plain, reading
 from crkr.client.task import Task
 from crkr.client.transport import Transport
 from crkr.protocol import TaskSpec, check_name, rpc_key
-from crkr.protocol.checks import flag, integer, required
+from crkr.protocol.checks import flag, integer, required, text
 
 __all__ = ["Client", "TaskSummary"]
 
@@ -26,6 +26,7 @@ class TaskSummary(TypedDict):
     active: int
     model_version: int
     archived: bool
+    fault: str
 
 
 @final
@@ -71,7 +72,7 @@ class Client:
         return self.info(timeout_s=patience_s)
 
     def tasks(self, *, timeout_s: float | None = None) -> list[TaskSummary]:
-        """Every task: `spec` (in force), `samples`, `active`, `model_version`, `archived`."""
+        """Every task: `spec` (in force), `samples`, `active`, `model_version`, `archived`, and `fault` ("": none)."""
         reply = self._rpc.call(rpc_key("tasks"), {}, timeout_s)
         with reading("tasks"):
             return [_summary(entry) for entry in required(reply, "tasks")]
@@ -128,4 +129,5 @@ def _summary(entry: Mapping[str, Any]) -> TaskSummary:
         "active": integer(required(entry, "active"), "active"),
         "model_version": integer(required(entry, "model_version"), "model_version"),
         "archived": flag(entry.get("archived", False), "archived"),
+        "fault": text(entry.get("fault", ""), "fault"),
     }

@@ -24,7 +24,20 @@ from crkr.learner.store import SampleStore
 from crkr.protocol import Array, Conflict, Invalid, TaskSpec, Trial, id_from_wire
 from crkr.protocol.checks import finite_array, number
 
-__all__ = ["Knowledge"]
+__all__ = ["Knowledge", "check_fit"]
+
+
+def check_fit(spec: TaskSpec, lengthscales: object, signal_variance: object) -> tuple[Array, float]:
+    """Numbers of a fit, as a task of this specification takes them; what is logged must pass first.
+
+    Raises:
+        Invalid: Numbers that are not finite and positive, or not d of them.
+    """
+    fitted = finite_array(lengthscales, "lengthscales", (len(spec.state),))
+    variance = number(signal_variance, "signal_variance", above=0.0)
+    if (fitted <= 0).any():
+        raise Invalid(f"lengthscales must be positive; got {fitted.tolist()}")
+    return fitted, variance
 
 
 @final
@@ -177,10 +190,7 @@ class Knowledge:
         Raises:
             Invalid: Numbers that are not positive, or not d of them.
         """
-        fitted = finite_array(lengthscales, "lengthscales", (len(self.spec.state),))
-        variance = number(signal_variance, "signal_variance", above=0.0)
-        if (fitted <= 0).any():
-            raise Invalid(f"lengthscales must be positive; got {fitted.tolist()}")
+        fitted, variance = check_fit(self.spec, lengthscales, signal_variance)
         self._check_seqs([seq], 1)
         self._set_kernel(fitted, variance)
         self.version, self.since_fit = seq, 0

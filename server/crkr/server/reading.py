@@ -14,6 +14,7 @@ from crkr.protocol import (
     MAX_MESSAGE_BYTES,
     MAX_STATES,
     MAX_TRIALS,
+    MOST_KEPT,
     PROTOCOL_VERSION,
     ShuttingDown,
     array_from_wire,
@@ -32,6 +33,7 @@ __all__ = ["Reader"]
 
 _MOST_SAMPLES: Final = 10_000
 _MOST_ASKED: Final = 64  # steps of learning that are waited for, after which it explains no sample
+_MOST_FAULTS: Final = 20  # that `info` tells of
 _PAGE_BYTES: Final = MAX_MESSAGE_BYTES // 2  # a page ends early rather than exceed what a message may be
 
 
@@ -82,6 +84,7 @@ class Reader:
                 "server_id": self._server_id,
                 "started": self._started,
                 "tasks": [task.name for task in self._tasks.all()],
+                "faulty": dict(list(self._tasks.faults().items())[:_MOST_FAULTS]),
                 "limits": {"states": MAX_STATES, "trials": MAX_TRIALS, "message_bytes": MAX_MESSAGE_BYTES},
             }
         )
@@ -92,7 +95,7 @@ class Reader:
 
     def _status(self, request: Request) -> None:
         request.message()
-        task = self._tasks.get(request.task)
+        task = self._tasks.look(request.task)
         model = task.model
         queues = {**self._queues(), "learning": {"waiting": self._learning.backlog}}
         status: dict[str, Any] = {
@@ -113,6 +116,8 @@ class Reader:
             status["fault"] = task.fault
         if task.damage:
             status["damage"] = task.damage
+        if advice := _advice(task):
+            status["advice"] = advice
         request.reply(status)
 
     def _model(self, request: Request) -> None:
@@ -125,7 +130,7 @@ class Reader:
 
     def _samples(self, request: Request) -> None:
         message = request.message()
-        task = self._tasks.get(request.task)
+        task = self._tasks.look(request.task)
         after = integer(message.get("after", 0), "after")
         limit = integer(message.get("limit", 1000), "limit", low=1, high=_MOST_SAMPLES)
         samples, following = self._log.page(task.name, after, limit, _PAGE_BYTES)
@@ -156,9 +161,21 @@ class Reader:
         self._learning.submit(task, (), answer)  # where one sample stands only the learner itself knows
 
 
+def _advice(task: ServedTask) -> list[dict[str, str]]:
+    """What its owner should know, though nothing is out of order."""
+    if task.spec.selector == "full" and task.eligible > task.model.active >= MOST_KEPT:
+        message = (
+            f'selector "full" learns from the first {MOST_KEPT} of {task.eligible} trials; the others are stored. '
+            'Import them into a task with selector "anms" to learn from all'
+        )
+        return [{"code": "full", "message": message}]
+    return []
+
+
 def _summary(task: ServedTask) -> dict[str, Any]:
     model = task.model
     return {
+        **({"fault": task.fault} if task.fault else {}),
         "spec": task.spec.to_dict(),
         "samples": sum(task.samples.values()),
         "active": model.active,

@@ -9,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Final
 
-from crkr.protocol import StorageError, TaskSpec, UnknownTask
+from crkr.protocol import CrkrError, GoalDimension, StateDimension, StorageError, TaskSpec, UnknownTask
 from crkr.server.applying import apply_entries, batches
 from crkr.server.log import Event, LoggedTrial, LogReader
 from crkr.server.radii_cache import load_radii
@@ -20,11 +20,14 @@ __all__ = ["FEW", "restore", "restore_all"]
 logger = logging.getLogger(__name__)
 
 _BATCH: Final = 4096
+_LONGEST: Final = 1000  # characters of what is wrong with a task
 FEW: Final = 5000  # entries that are cheaper to learn as they come, whole rows, than all radii are to find anew
 
 
 def restore_all(log: LogReader, path: Path) -> list[ServedTask]:
     """Replays every task while the store looks itself over, on a thread that needs no interpreter for it.
+
+    A task that is stored whole and cannot be replayed all the same is among them, marked so: the others are served.
 
     Raises:
         StorageError: The log, which is at `path`, is damaged.
@@ -32,7 +35,7 @@ def restore_all(log: LogReader, path: Path) -> list[ServedTask]:
     try:
         with ThreadPoolExecutor(1) as beside:
             damage = beside.submit(log.integrity)
-            tasks = [restore(log, name) for name in log.tasks()]
+            tasks = [_restored(log, name) for name in log.tasks()]
         found = damage.result()
     except UnknownTask as error:
         raise StorageError(f"task log {path} lists a task that it does not find; restore a backup") from error
@@ -43,11 +46,42 @@ def restore_all(log: LogReader, path: Path) -> list[ServedTask]:
     return tasks
 
 
+def _restored(log: LogReader, name: str) -> ServedTask:
+    """The task, or one that only tells why it cannot be restored."""
+    try:
+        return restore(log, name)
+    except (StorageError, UnknownTask):  # the store's fault, which is everyone's
+        raise
+    except Exception as error:
+        fault = error.message if isinstance(error, CrkrError) else f"{type(error).__name__}: {error}"
+        logger.exception("task %s is not served, as it cannot be restored; its log stays as it is", name)
+        return _faulty(log, name, fault)
+
+
+def _faulty(log: LogReader, name: str, fault: str) -> ServedTask:
+    try:
+        created = next(log.read(name))
+        task = ServedTask(TaskSpec.from_dict(created.body["spec"]) if isinstance(created, Event) else _unknown(name))
+    except StorageError:
+        raise
+    except Exception:
+        task = ServedTask(_unknown(name))
+    task.fault, task.restored, task.seq = fault[:_LONGEST], False, log.last(name)
+    return task
+
+
+def _unknown(name: str) -> TaskSpec:
+    """Stands for a specification that cannot be read, so that the task can be listed."""
+    state, goal = StateDimension("unknown", "", 0.0, 1.0, 1.0), GoalDimension("unknown", "", 0.0, 1.0, 1.0)
+    return TaskSpec(name, (state,), (goal,), "This task's specification cannot be read.")
+
+
 def restore(log: LogReader, name: str) -> ServedTask:
     """Replays a task.
 
     Raises:
         StorageError: The log is damaged.
+        Exception: Whatever the learner has against an event, or says of numbers that an earlier version let in.
     """
     started = time.monotonic()
     first = next(log.read(name), None)

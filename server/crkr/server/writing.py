@@ -16,6 +16,7 @@ from crkr.protocol import (
     ShuttingDown,
     StorageError,
     TaskSpec,
+    refuse_absurd,
 )
 from crkr.server.administration import Change, read_change
 from crkr.server.durations import Durations
@@ -134,6 +135,7 @@ class Writer:
         spec = TaskSpec.from_dict(request.message())
         task = self._tasks.find(spec.name)
         if task is None:
+            refuse_absurd(spec)
             task = ServedTask(spec)  # refuses what the learner does not offer, before anything is stored
             with self.commits.timing():
                 self._log.create(spec)

@@ -29,6 +29,7 @@ __all__ = ["FitProblem", "FitResult", "fit", "log_evidence"]
 _LENGTHSCALE_RANGE: Final = (0.05, 20.0)  # times those of the task's creation
 _VARIANCE_RANGE: Final = (1e-3, 1e3)
 _LOG_NUMBERS: Final = (-690.0, 690.0)  # beyond, exp is no number to compute with
+_FARTHEST: Final = 1e4  # medians, or length-scales, that a sample may be from the centre
 _MAX_ITERATIONS: Final = 60
 _UNREACHABLE: Final = 1e25  # stands for an infinite objective, which L-BFGS cannot step back from
 
@@ -62,16 +63,22 @@ class FitProblem:
     def of(cls, model: Model, reference: Array) -> FitProblem:
         """The problem of fitting a model's active samples, starting from its own kernel.
 
+        Samples that are absurdly far from the others are left out: they tell nothing of length-scales, and beside them
+        the rest is lost in rounding.
+
         Raises:
             NoSamples: No sample is active.
         """
         own = model.parameters
         if not model.active:
             raise NoSamples(f"task {own.task!r} has no active sample to fit to")
+        X = model.states - own.kernel.centre
+        away = np.abs(X)
+        near = (away <= _FARTHEST * np.maximum(reference, np.median(away, axis=0))).all(axis=1)
         return cls(
-            X=model.states - own.kernel.centre,
-            Y=(model.goals - own.prior) / own.scales,
-            noise=noise_variances(model.costs, own.regularisation, own.cost_map, 0.0),
+            X=X[near],
+            Y=(model.goals[near] - own.prior) / own.scales,
+            noise=noise_variances(model.costs[near], own.regularisation, own.cost_map, 0.0),
             noise_floor=own.noise_floor,
             lengthscales=own.kernel.lengthscales,
             signal_variance=own.kernel.signal_variance,
@@ -100,10 +107,12 @@ class FitResult:
     after: float
 
 
+@np.errstate(over="ignore", invalid="ignore")  # told by the result
 def log_evidence(problem: FitProblem, theta: Array) -> tuple[float, Array]:
     """Log marginal likelihood and its gradient (d + 1,) with respect to theta  [Cardoso2017, eq. 6 and 7].
 
-    Returns -inf and a zero gradient where the kernel matrix is not numerically positive definite.
+    Returns -inf and a zero gradient where the kernel matrix is not numerically positive definite, or numbers are so far
+    apart that evidence or gradient is none.
     """
     lengthscales, variance = np.exp(theta[:-1]), float(np.exp(theta[-1]))
     m, p = problem.Y.shape
@@ -134,6 +143,8 @@ def log_evidence(problem: FitProblem, theta: Array) -> tuple[float, Array]:
     sums = G.sum(axis=1)
     gradient[:-1] += sums @ (Z * Z) - np.einsum("ij,ij->j", Z, G @ Z)
     gradient[-1] += 0.5 * float(sums.sum())
+    if not (np.isfinite(value) and np.isfinite(gradient).all()):
+        return -np.inf, np.zeros_like(theta)
     return value, gradient
 
 

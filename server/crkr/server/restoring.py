@@ -9,7 +9,10 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Final
 
-from crkr.protocol import CrkrError, GoalDimension, StateDimension, StorageError, TaskSpec, UnknownTask
+import numpy as np
+
+from crkr.learner import TrialColumns
+from crkr.protocol import KINDS, CrkrError, GoalDimension, StateDimension, StorageError, TaskSpec, UnknownTask
 from crkr.server.applying import apply_entries, batches
 from crkr.server.log import Event, LoggedTrial, LogReader
 from crkr.server.radii_cache import load_radii
@@ -21,7 +24,7 @@ logger = logging.getLogger(__name__)
 
 _BATCH: Final = 4096
 _LONGEST: Final = 1000  # characters of what is wrong with a task
-FEW: Final = 5000  # entries that are cheaper to learn as they come, whole rows, than all radii are to find anew
+FEW: Final = 5000  # entries that are read as whole rows, each looked over; longer logs by columns, their radii kept
 
 
 def restore_all(log: LogReader, path: Path) -> list[ServedTask]:
@@ -92,7 +95,8 @@ def restore(log: LogReader, name: str) -> ServedTask:
         raise StorageError(f"the log of task {name!r} was begun as that of {task.name!r}; restore a backup")
     last, radii = log.last(name), load_radii(log, name)
     if last <= FEW:
-        _replay(task, log.read(name, 1))
+        with task.learner.bulk():
+            _replay_at_once(task, log.read(name, 1))
     else:
         usable = radii is not None and last - FEW <= radii.version <= last
         upto = radii.version if radii is not None and usable else last
@@ -113,6 +117,34 @@ def _replay_blocks(task: ServedTask, log: LogReader, upto: int) -> None:
         else:
             task.note_columns(entry)
             task.learner.apply_columns(entry)
+
+
+def _replay_at_once(task: ServedTask, entries: Iterator[LoggedTrial | Event]) -> None:
+    for batch in batches(entries, _BATCH):
+        if isinstance(batch, Event):
+            task.note(batch)
+            apply_entries(task.learner, batch)
+        else:
+            columns = _columns(batch, len(task.created.outcome))
+            task.note_columns(columns)
+            task.learner.apply_columns(columns)
+
+
+def _columns(entries: list[LoggedTrial], measured: int) -> TrialColumns:
+    """The same trials; a store takes columns in a fraction of the time."""
+    trials = [entry.trial for entry in entries]
+    absent = np.full(measured, np.nan)
+    return TrialColumns(
+        seqs=np.array([entry.seq for entry in entries], dtype=np.int64),
+        ids=b"".join([trial.id.bytes for trial in trials]),
+        digests=b"".join([trial.digest() for trial in trials]),
+        states=np.array([trial.state for trial in trials]),
+        goals=np.array([trial.goal for trial in trials]),
+        costs=np.array([trial.cost for trial in trials], dtype=np.float64),  # None becomes NaN
+        kinds=np.array([KINDS.index(trial.kind) for trial in trials], dtype=np.uint8),
+        success=np.array([trial.success for trial in trials], dtype=np.bool_),
+        outcomes=np.array([absent if trial.outcome is None else trial.outcome for trial in trials]),
+    )
 
 
 def _replay(task: ServedTask, entries: Iterator[LoggedTrial | Event]) -> None:

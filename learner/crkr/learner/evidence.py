@@ -29,6 +29,7 @@ __all__ = ["FitProblem", "FitResult", "fit", "log_evidence"]
 _LENGTHSCALE_RANGE: Final = (0.05, 20.0)  # times those of the task's creation
 _VARIANCE_RANGE: Final = (1e-3, 1e3)
 _LOG_NUMBERS: Final = (-690.0, 690.0)  # beyond, exp is no number to compute with
+_MOST: Final = 1500  # samples that a fit looks at
 _FARTHEST: Final = 1e4  # medians, or length-scales, that a sample may be from the centre
 _MAX_ITERATIONS: Final = 60
 _UNREACHABLE: Final = 1e25  # stands for an infinite objective, which L-BFGS cannot step back from
@@ -64,7 +65,7 @@ class FitProblem:
         """The problem of fitting a model's active samples, starting from its own kernel.
 
         Samples that are absurdly far from the others are left out: they tell nothing of length-scales, and beside them
-        the rest is lost in rounding.
+        the rest is lost in rounding. Of more than `_MOST` every so many stand for all, or a fit would take minutes.
 
         Raises:
             NoSamples: No sample is active.
@@ -74,7 +75,9 @@ class FitProblem:
             raise NoSamples(f"task {own.task!r} has no active sample to fit to")
         X = model.states - own.kernel.centre
         away = np.abs(X)
-        near = (away <= _FARTHEST * np.maximum(reference, np.median(away, axis=0))).all(axis=1)
+        near = np.flatnonzero((away <= _FARTHEST * np.maximum(reference, np.median(away, axis=0))).all(axis=1))
+        if len(near) > _MOST:
+            near = near[np.linspace(0, len(near) - 1, _MOST).astype(np.int64)]
         return cls(
             X=X[near],
             Y=(model.goals[near] - own.prior) / own.scales,

@@ -62,7 +62,7 @@ def named(axes: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 def trials(spec: TaskSpec, rng: np.random.Generator) -> list[Trial]:
     """Usual and unusual ones: states far away or all alike, goals at the bounds, costs of 0 and 1."""
-    made = []
+    made: list[Trial] = []
     for number in range(24):
         state = [axis.low + float(rng.uniform()) * (axis.high - axis.low) for axis in spec.state]
         if number % 6 == 0:

@@ -103,7 +103,7 @@ def trial(of: ServedTask) -> Trial:
 def test_a_report_is_waited_for_only_as_long_as_its_own_task_takes(
     ask: Ask, reach: dict[str, Any], make_trial: Callable[..., dict[str, Any]], new_id: Callable[[], bytes]
 ) -> None:
-    busy = f"busy-{UUID(bytes=new_id())}"
+    busy = f"other-{UUID(bytes=new_id())}"
     ask("rpc/create_task", {**reach, "name": busy, "budget": 2000})
     for first in range(0, 4000, 1000):
         ask(f"task/{busy}/rpc/report", {"trials": [make_trial(number) for number in range(first, first + 1000)]})
@@ -128,7 +128,7 @@ def test_numbers_that_would_break_arithmetic_are_refused_at_creation_and_change(
 
 def test_the_selector_that_keeps_everything_says_where_it_stops(ask: Ask, reach: dict[str, Any]) -> None:
     rng = np.random.default_rng(0)
-    ask("rpc/create_task", {**reach, "name": "everything", "selector": "full"})
+    ask("rpc/create_task", {**reach, "name": "other-everything", "selector": "full"})
     ids = [UUID(int=number + 1).bytes for number in range(3100)]
     for first in range(0, 3100, 775):
         trials = [
@@ -142,11 +142,11 @@ def test_the_selector_that_keeps_everything_says_where_it_stops(ask: Ask, reach:
             }
             for one in ids[first : first + 775]
         ]
-        ask("task/everything/rpc/report", {"trials": trials, "wait": first + 775 == 3100})
-    status = ask("task/everything/rpc/status")
+        ask("task/other-everything/rpc/report", {"trials": trials, "wait": first + 775 == 3100})
+    status = ask("task/other-everything/rpc/status")
     assert (status["active"], status["eligible"]) == (3000, 3100)
     [advice] = status["advice"]
     assert advice["code"] == "full"
     assert "3000" in advice["message"]
-    ask("task/everything/admin/remove", {"ids": ids[:150]})
-    assert "advice" not in ask("task/everything/rpc/status")
+    ask("task/other-everything/admin/remove", {"ids": ids[:150]})
+    assert "advice" not in ask("task/other-everything/rpc/status")

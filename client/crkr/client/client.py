@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Final, TypedDict, final
+from typing import Any, Final, NotRequired, TypedDict, final
 
 from crkr.client.config import Connection
 from crkr.client.role import Role
@@ -26,7 +26,7 @@ class TaskSummary(TypedDict):
     active: int
     model_version: int
     archived: bool
-    fault: str
+    fault: NotRequired[str]  # why it learns no more, or could not be restored
 
 
 @final
@@ -58,7 +58,7 @@ class Client:
         self._rpc: Final = Rpc(Transport(connection), timeout_s)
 
     def info(self, *, timeout_s: float | None = None) -> dict[str, Any]:
-        """The server: `protocol`, `version`, `server_id`, `started` [unix s], `tasks` (names), `limits`.
+        """The server: `protocol`, `version`, `server_id`, `started` [unix s], `tasks` (names), `faulty`, `limits`.
 
         Raises:
             Unavailable: No answer in time.
@@ -72,7 +72,7 @@ class Client:
         return self.info(timeout_s=patience_s)
 
     def tasks(self, *, timeout_s: float | None = None) -> list[TaskSummary]:
-        """Every task: `spec` (in force), `samples`, `active`, `model_version`, `archived`, and `fault` ("": none)."""
+        """Every task: `spec` (in force), `samples`, `active`, `model_version`, `archived`; `fault` where there is one."""
         reply = self._rpc.call(rpc_key("tasks"), {}, timeout_s)
         with reading("tasks"):
             return [_summary(entry) for entry in required(reply, "tasks")]
@@ -123,11 +123,13 @@ class Client:
 
 
 def _summary(entry: Mapping[str, Any]) -> TaskSummary:
-    return {
+    summary: TaskSummary = {
         "spec": TaskSpec.from_dict(required(entry, "spec")),
         "samples": integer(required(entry, "samples"), "samples"),
         "active": integer(required(entry, "active"), "active"),
         "model_version": integer(required(entry, "model_version"), "model_version"),
         "archived": flag(entry.get("archived", False), "archived"),
-        "fault": text(entry.get("fault", ""), "fault"),
     }
+    if "fault" in entry:
+        summary["fault"] = text(entry["fault"], "fault")
+    return summary

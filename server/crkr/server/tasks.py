@@ -128,8 +128,9 @@ class Tasks:
             UnknownTask: There is none of that name.
             Internal: It could not be restored.
         """
-        task = self.look(name)
-        if not task.restored:
+        task = self._by_name.get(name)
+        if task is None or not task.restored:
+            task = self.look(name)
             raise Internal(
                 f"task {name!r} cannot be restored from its log, whose trials can still be read (crkr export): "
                 f"{task.fault}",

@@ -150,3 +150,17 @@ def test_the_selector_that_keeps_everything_says_where_it_stops(ask: Ask, reach:
     assert "3000" in advice["message"]
     ask("task/other-everything/admin/remove", {"ids": ids[:150]})
     assert "advice" not in ask("task/other-everything/rpc/status")
+
+
+def test_what_waits_is_counted_for_each_task(learning: Learning) -> None:
+    one, other = task("one"), task("other")
+    learning.submit(one, [LoggedTrial(2, 0.0, trial(one))], lambda *_: None)
+    learning.submit(one, configured(3))
+    assert (learning.waiting(one), learning.waiting(other)) == ((1, 1), (0, 0))
+    assert (learning.backlog, learning.asked) == (1, 1)
+    over = threading.Event()
+    learning.submit(one, (), lambda *_: over.set())
+    learning.start()
+    assert over.wait(PATIENCE_S)
+    assert learning.waiting(one) == (0, 0)
+    assert (learning.backlog, learning.asked) == (0, 0)

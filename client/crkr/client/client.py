@@ -72,7 +72,7 @@ class Client:
         return self.info(timeout_s=patience_s)
 
     def tasks(self, *, timeout_s: float | None = None) -> list[TaskSummary]:
-        """Every task: `spec` (in force), `samples`, `active`, `model_version`, `archived`; `fault` where there is one."""
+        """Every task: `spec` (in force), `samples`, `active`, `model_version`, `archived`; `fault` if there is one."""
         reply = self._rpc.call(rpc_key("tasks"), {}, timeout_s)
         with reading("tasks"):
             return [_summary(entry) for entry in required(reply, "tasks")]

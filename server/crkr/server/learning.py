@@ -48,11 +48,12 @@ class _Step:
 class _Line:
     """The steps of one task that wait, in the log's order."""
 
-    __slots__ = ("held", "long", "steps", "task")
+    __slots__ = ("asked", "held", "long", "steps", "task", "trials")
 
     def __init__(self, task: ServedTask) -> None:
         self.task = task
         self.steps: deque[_Step] = deque()
+        self.trials = self.asked = 0  # in the waiting steps
         self.held = False  # by a thread that is at work on an earlier step
         self.long = False  # was the last step
 
@@ -114,6 +115,11 @@ class Learning:
         """Steps that somebody waits to be answered for."""
         return self._asked
 
+    def waiting(self, task: ServedTask) -> tuple[int, int]:
+        """Of one task, the trials that wait to be learned from, and the steps that somebody waits for."""
+        line = self._lines.get(task.name)
+        return (0, 0) if line is None else (line.trials, line.asked)
+
     def submit(
         self,
         task: ServedTask,
@@ -134,6 +140,8 @@ class Learning:
                 if line is None:
                     line = self._lines[task.name] = _Line(task)
                 line.steps.append(_Step(task, entries, done))
+                line.trials += _size(entries)
+                line.asked += done is not None
                 self._backlog += _size(entries)
                 self._asked += done is not None
                 if len(line.steps) == 1 and not line.held:
@@ -189,8 +197,11 @@ class Learning:
             while steps and _joins(group[-1], steps[0]) and count < _MOST_TRIALS:
                 group.append(steps.popleft())
                 count += _size(group[-1].entries)
+            asked = sum(step.done is not None for step in group)
+            line.trials -= count
+            line.asked -= asked
             self._backlog -= count
-            self._asked -= sum(step.done is not None for step in group)
+            self._asked -= asked
             return line, group
 
     def _over(self) -> bool:

@@ -155,7 +155,7 @@ class Reader:
             except Exception as error:
                 request.fail_unexpectedly(error)
 
-        if self._learning.asked >= _MOST_ASKED:
+        if self._learning.waiting(task)[1] >= _MOST_ASKED:
             raise busy(request.verb)
         request.held = True
         self._learning.submit(task, (), answer)  # where one sample stands only the learner itself knows

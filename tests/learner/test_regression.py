@@ -126,6 +126,14 @@ def test_a_matrix_that_does_not_factor_gets_a_higher_floor_and_a_warning(caplog:
     assert all(np.isfinite(part).all() for part in regression.over(np.array([[0.0], [1e20], [3.0]])))
 
 
+def test_a_floor_that_stays_raised_is_told_once(caplog: pytest.LogCaptureFixture) -> None:
+    kernel, goals = Kernel(np.zeros(1), np.ones(1), 1.0), np.array([[1.0], [2.0], [3.0]])
+    first = Regression.fit(kernel, np.zeros((2, 1)), goals[:2], np.full(2, 1e-30))
+    second = Regression.fit(kernel, np.zeros((3, 1)), goals, np.full(3, 1e-30), first)
+    assert min(first.floor, second.floor) > 1e-30
+    assert [record.levelname for record in caplog.records] == ["WARNING"]
+
+
 def test_noise_that_rounds_to_nothing_beside_the_kernel_still_factors() -> None:
     kernel = Kernel(np.zeros(1), np.ones(1), 1e-310)
     regression = Regression.fit(kernel, np.zeros((2, 1)), np.array([[1.0], [2.0]]), np.zeros(2))

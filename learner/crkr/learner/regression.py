@@ -86,6 +86,15 @@ class Regression:
             Internal: The kernel matrix holds what is not a number, so that no noise makes it factor.
         """
         L, floor = _extended(kernel, Z, noise, previous) or _factor(kernel, Z, noise, matrix)
+        if floor > float(noise.min()):
+            told = previous is not None and previous.floor > float(previous.noise.min())
+            _log.log(
+                logging.DEBUG if told else logging.WARNING,  # once for the many models that follow each other
+                "%d samples factored only with noise floor %.1e; %.1e was asked for",
+                len(Z),
+                floor,
+                float(noise.min()),
+            )
         W = solve(L, Y)
         regression = cls(kernel, Z, noise, L, np.ascontiguousarray(W), floor)
         for array in (Z, noise, L, regression.W):
@@ -126,7 +135,7 @@ def _factor(kernel: Kernel, Z: Array, noise: Array, matrix: KernelMaker | None) 
     away must not drown the others. K is factored in place and made anew for another attempt, which is rare: a copy kept
     at hand costs every model more in fresh memory than the kernel itself.
     """
-    floor = asked = float(noise.min())
+    floor = float(noise.min())
     for _ in range(_ATTEMPTS):
         K = kernel.matrix(Z, Z) if matrix is None else matrix(kernel, Z)
         diagonal = K.reshape(-1)[:: len(K) + 1]
@@ -139,8 +148,6 @@ def _factor(kernel: Kernel, Z: Array, noise: Array, matrix: KernelMaker | None) 
         floor = max(10.0 * floor, _LIMITS.eps * largest, _LIMITS.tiny)  # the last where all else rounds to nothing
     else:
         raise Internal(f"the kernel matrix of {len(Z)} samples does not factor even with a noise floor of {floor:.1e}")
-    if floor > asked:
-        _log.warning("%d samples factored only with noise floor %.1e; %.1e was asked for", len(Z), floor, asked)
     return L, floor
 
 

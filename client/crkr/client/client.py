@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Final, TypedDict, final
+from typing import Any, Final, NotRequired, TypedDict, final
 
 from crkr.client.config import Connection
 from crkr.client.role import Role
@@ -13,7 +13,7 @@ from crkr.client.rpc import Rpc, plain, reading
 from crkr.client.task import Task
 from crkr.client.transport import Transport
 from crkr.protocol import TaskSpec, check_name, rpc_key
-from crkr.protocol.checks import flag, integer, required
+from crkr.protocol.checks import flag, integer, required, text
 
 __all__ = ["Client", "TaskSummary"]
 
@@ -26,6 +26,7 @@ class TaskSummary(TypedDict):
     active: int
     model_version: int
     archived: bool
+    fault: NotRequired[str]  # why it learns no more, or could not be restored
 
 
 @final
@@ -57,9 +58,10 @@ class Client:
         self._rpc: Final = Rpc(Transport(connection), timeout_s)
 
     def info(self, *, timeout_s: float | None = None) -> dict[str, Any]:
-        """The server: `protocol`, `version`, `server_id`, `started` [unix s], `tasks`, `task_count`, `limits`.
+        """The server: `protocol`, `version`, `server_id`, `started` [unix s], `tasks`, `task_count`, `faulty`, ...
 
-        `tasks` has the names of the first 1000 tasks; `Client.tasks` gives all of them.
+        `tasks` has the names of the first 1000 tasks; `Client.tasks` gives all of them. `faulty` has those that cannot
+        be served, with the reason.
 
         Raises:
             Unavailable: No answer in time.
@@ -73,7 +75,7 @@ class Client:
         return self.info(timeout_s=patience_s)
 
     def tasks(self, *, timeout_s: float | None = None) -> list[TaskSummary]:
-        """Every task: `spec` (in force), `samples`, `active`, `model_version`, `archived`.
+        """Every task: `spec` (in force), `samples`, `active`, `model_version`, `archived`; `fault` if there is one.
 
         Args:
             timeout_s: Deadline of all pages together [s].
@@ -147,10 +149,13 @@ def _summaries(page: Iterable[Mapping[str, Any]]) -> list[TaskSummary]:
 
 
 def _summary(entry: Mapping[str, Any]) -> TaskSummary:
-    return {
+    summary: TaskSummary = {
         "spec": TaskSpec.from_dict(required(entry, "spec")),
         "samples": integer(required(entry, "samples"), "samples"),
         "active": integer(required(entry, "active"), "active"),
         "model_version": integer(required(entry, "model_version"), "model_version"),
         "archived": flag(entry.get("archived", False), "archived"),
     }
+    if "fault" in entry:
+        summary["fault"] = text(entry["fault"], "fault")
+    return summary

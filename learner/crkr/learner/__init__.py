@@ -15,6 +15,7 @@ from crkr.learner.evidence import FitProblem, FitResult, fit, log_evidence
 from crkr.learner.explorer import Choice, Explorer, GaussianExplorer
 from crkr.learner.first_come import FirstCome
 from crkr.learner.kernel import Kernel
+from crkr.learner.knowledge import check_fit
 from crkr.learner.learner import SELECTORS, Learner
 from crkr.learner.model import Model
 from crkr.learner.noise import noise_variances
@@ -48,6 +49,7 @@ __all__ = [
     "SelectorFactory",
     "Standing",
     "TrialColumns",
+    "check_fit",
     "draw_ids",
     "fit",
     "log_evidence",

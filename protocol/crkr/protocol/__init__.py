@@ -49,6 +49,7 @@ from crkr.protocol.keys import (
     split_key,
     task_key,
 )
+from crkr.protocol.limits import MOST_ACTIVE, MOST_KEPT, refuse_absurd
 from crkr.protocol.make_trials import make_trials
 from crkr.protocol.plain_text import LogFormatter, printable
 from crkr.protocol.predict import Prediction, PredictRequest, check_states
@@ -67,6 +68,8 @@ __all__ = [
     "MAX_STATES",
     "MAX_TELEMETRY_BYTES",
     "MAX_TRIALS",
+    "MOST_ACTIVE",
+    "MOST_KEPT",
     "PROTOCOL_VERSION",
     "SERVER_VERBS",
     "TASK_VERBS",
@@ -127,6 +130,7 @@ __all__ = [
     "printable",
     "pub_key",
     "random_ids",
+    "refuse_absurd",
     "rpc_key",
     "split_key",
     "task_id",

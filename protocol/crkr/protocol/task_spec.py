@@ -49,7 +49,7 @@ class TaskSpec:
         outcome: q numbers measured after a trial; may be empty.
         exploration: How goals are drawn when exploring.
         kernel: Covariance of the scaled goals.
-        budget: k, the largest number of active samples.
+        budget: k, the largest number of active samples; see `limits` for what new tasks may ask for.
         regularisation: lambda, the exploration-exploitation trade-off.
         cost_map: g, from cost to relative noise: "linear" g(c) = c, "odds" g(c) = c / (1 - c).
         noise_floor: Smallest noise, relative to the signal variance.

@@ -7,12 +7,22 @@ from dataclasses import dataclass
 from typing import Any, Final, final
 from uuid import UUID
 
-from crkr.protocol import MAX_TRIALS, Invalid, Unsupported, check_model_fits, id_from_wire
+from crkr.protocol import (
+    MAX_TRIALS,
+    Invalid,
+    KernelSettings,
+    Unsupported,
+    check_model_fits,
+    id_from_wire,
+    refuse_absurd,
+)
 from crkr.protocol.checks import finite_array, number, required, text
 from crkr.protocol.codec import array_from_wire
 from crkr.server.tasks import ServedTask, hyperparameters
 
 __all__ = ["Change", "read_change"]
+
+_KERNEL: Final = tuple(KernelSettings.__dataclass_fields__)
 
 
 @final
@@ -58,7 +68,11 @@ def _configure(message: Mapping[str, Any], task: ServedTask) -> Change:
     changes = required(message, "changes")
     if not isinstance(changes, Mapping) or not changes:
         raise Invalid(f"changes must be a map with at least one field; got {type(changes).__name__}")
-    changed_spec = task.spec.with_changes(changes)
+    kernel = changes.get("kernel")
+    if isinstance(kernel, Mapping) and (unknown := sorted(str(key) for key in kernel if key not in _KERNEL)):
+        raise Invalid(f"unknown fields in kernel: {', '.join(unknown)[:200]}; known are {', '.join(_KERNEL)}")
+    changed_spec = task.agreed.with_changes(changes)
+    refuse_absurd(changed_spec, task.agreed)
     if "budget" in changes:  # an earlier version took larger ones, whose other settings may change still
         check_model_fits(changed_spec)
 

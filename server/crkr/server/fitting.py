@@ -12,7 +12,7 @@ from contextlib import suppress
 from multiprocessing.connection import Connection
 from typing import Any, Final, final
 
-from crkr.learner import FitProblem, FitResult, fit
+from crkr.learner import FitProblem, FitResult, check_fit, fit
 from crkr.protocol import CrkrError, Internal, ShuttingDown, Unsupported
 from crkr.server.administration import Change
 from crkr.server.installed_code import InstalledCode
@@ -84,6 +84,7 @@ class Fitting:
             if not result.accepted:
                 job.reply({**found, "seq": task.seq, "model_version": task.model.version})
                 continue
+            check_fit(task.created, result.lengthscales, result.signal_variance)  # before it is in the log for good
             body = {"lengthscales": result.lengthscales.tolist(), "signal_variance": result.signal_variance}
             evidence = {"evidence_before": result.before, "evidence_after": result.after}
             self._writer.commit(task, Change("fit", {**body, **evidence}, _answer(found)), job, configured)

@@ -37,7 +37,7 @@ _OF_A_TASK: Final = {
     "crkr_task_model_version": "Log position that the model has applied.",
     "crkr_task_model_lag": "Log positions that the model has yet to apply.",
     "crkr_task_archived": "1 if the task answers reads only.",
-    "crkr_task_faulty": "1 if the task stores trials but learns no more until a restart; see the server's log.",
+    "crkr_task_faulty": "1 if the task could not be restored, or learns no more until a restart; see the server's log.",
     "crkr_task_damaged": "1 if a stored row is not what was stored; see the server's log.",
 }
 

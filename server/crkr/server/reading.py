@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from importlib.metadata import version
+from itertools import islice
 from operator import itemgetter
 from typing import Any, Final, final
 from uuid import UUID
@@ -15,6 +16,7 @@ from crkr.protocol import (
     MAX_MESSAGE_BYTES,
     MAX_STATES,
     MAX_TRIALS,
+    MOST_KEPT,
     PROTOCOL_VERSION,
     Invalid,
     ShuttingDown,
@@ -39,6 +41,7 @@ _MOST_ASKED: Final = 64  # steps of learning that are waited for, after which it
 _MOST_WORKERS: Final = 256  # of a status
 _LONGEST: Final = 4096  # characters of what is wrong with a task
 _REST_BYTES: Final = 4096  # of a list of tasks, its entries aside
+_MOST_FAULTS: Final = 20  # that `info` tells of
 _PAGE_BYTES: Final = MAX_MESSAGE_BYTES // 2  # a page ends early rather than exceed what a message may be
 
 
@@ -92,6 +95,9 @@ class Reader:
                 "tasks": [task.name for task in tasks],
                 "task_count": len(self._tasks),
                 "next": following,
+                "faulty": {
+                    name: fault[:_LONGEST] for name, fault in islice(self._tasks.faults().items(), _MOST_FAULTS)
+                },
                 "limits": {"states": MAX_STATES, "trials": MAX_TRIALS, "message_bytes": MAX_MESSAGE_BYTES},
             }
         )
@@ -114,15 +120,18 @@ class Reader:
                 )
         request.reply_packed(pack_around({"next": following}, "tasks", page))
 
+    def _faults(self) -> dict[str, str]:
+        return {name: fault[:_LONGEST] for name, fault in islice(self._tasks.faults().items(), _MOST_FAULTS)}
+
     def _spec(self, request: Request) -> None:
         request.message()
-        task = self._tasks.get(request.task)
+        task = self._tasks.look(request.task)
         about = {"log_id": task.log_id, "archived": task.archived, "model_version": task.model.version}
         request.reply_packed(pack_around(about, "spec", task.packed_spec()))
 
     def _status(self, request: Request) -> None:
         request.message()
-        task = self._tasks.get(request.task)
+        task = self._tasks.look(request.task)
         model = task.model
         queues = {**self._queues(), "learning": {"waiting": self._learning.backlog}}
         workers, more_workers = _most_present(self._workers.status(task.name))
@@ -145,6 +154,8 @@ class Reader:
         for name, trouble in (("fault", task.fault), ("damage", task.damage)):
             if trouble:
                 status[name] = trouble[:_LONGEST]
+        if advice := _advice(task):
+            status["advice"] = advice
         request.reply(status)
 
     def _model(self, request: Request) -> None:
@@ -164,7 +175,7 @@ class Reader:
 
     def _samples(self, request: Request) -> None:
         message = request.message()
-        task = self._tasks.get(request.task)
+        task = self._tasks.look(request.task)
         after = integer(message.get("after", 0), "after")
         limit = integer(message.get("limit", 1000), "limit", low=1, high=_MOST)
         samples, following = self._log.page(task.name, after, limit, _PAGE_BYTES)
@@ -189,10 +200,21 @@ class Reader:
             except Exception as error:
                 request.fail_unexpectedly(error)
 
-        if self._learning.asked >= _MOST_ASKED:
+        if self._learning.waiting(task)[1] >= _MOST_ASKED:
             raise busy(request.verb)
         request.held = True
         self._learning.submit(task, (), answer)  # where one sample stands only the learner itself knows
+
+
+def _advice(task: ServedTask) -> list[dict[str, str]]:
+    """What its owner should know, though nothing is out of order."""
+    if task.spec.selector == "full" and task.eligible > task.model.active >= MOST_KEPT:
+        message = (
+            f'selector "full" learns from the first {MOST_KEPT} of {task.eligible} trials; the others are stored. '
+            'Import them into a task with selector "anms" to learn from all'
+        )
+        return [{"code": "full", "message": message}]
+    return []
 
 
 def _span(message: Mapping[str, Any], low: int = 1) -> tuple[int, int]:
@@ -216,6 +238,7 @@ def _entries(tasks: Sequence[ServedTask], most_bytes: int) -> tuple[list[bytes],
 def _entry(task: ServedTask) -> bytes:
     model = task.model
     about = {
+        **({"fault": task.fault[:_LONGEST]} if task.fault else {}),
         "samples": sum(task.samples.values()),
         "active": model.active,
         "model_version": model.version,

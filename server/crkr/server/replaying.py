@@ -8,8 +8,8 @@ from typing import Any, Final, final
 
 import numpy as np
 
-from crkr.learner import Learner, radii_kdtree, top
-from crkr.protocol import KINDS, CrkrError, NoSamples, StorageError, TaskSpec, Trial
+from crkr.learner import Kernel, Learner, radii_kdtree, top
+from crkr.protocol import KINDS, CrkrError, NoSamples, StorageError, TaskSpec, Trial, UnknownTask
 from crkr.server.applying import apply_entries, batches
 from crkr.server.log import Event, LogReader
 from crkr.server.radii_cache import load_radii
@@ -58,7 +58,13 @@ def verify(log: LogReader, name: str, progress: Callable[[int], None] = lambda _
     Raises:
         StorageError: The log cannot be read to its end.
     """
-    restored = restore(log, name)
+    try:
+        restored = restore(log, name)
+    except (StorageError, UnknownTask):
+        raise
+    except Exception as error:  # which the server starts in spite of; the other tasks are looked at too
+        problem = error.message if isinstance(error, CrkrError) else f"{type(error).__name__}: {error}"
+        return Verdict(name, log.last(name), 0, 0, 0, 0.0, (f"the task cannot be restored: {problem}",))
     learner, trials = _relearn(log, name, progress)
     problems: list[str] = []
     if learner.active_ids != restored.learner.active_ids:
@@ -111,7 +117,7 @@ def _compare_selection(learner: Learner, trials: dict[bytes, _Kept], spec: TaskS
         return [] if not learner.active_ids else ["samples are active though none is eligible"]
     states = np.array([kept.trial.state for kept in eligible])
     costs = np.array([kept.cost for kept in eligible], dtype=np.float64)
-    squared, _ = radii_kdtree((states - spec.centres) / spec.lengthscales, costs)
+    squared, _ = radii_kdtree(Kernel(spec.centres, spec.lengthscales, 1.0).standardise(states), costs)
     expected = {eligible[row].trial.id for row in top(squared, spec.budget)}
     return [] if expected == set(learner.active_ids) else ["the active set is not the batch algorithm's"]
 
@@ -147,8 +153,9 @@ def _compare_cache(log: LogReader, name: str, learner: Learner) -> list[str]:
 def _difference(one: Learner, other: Learner, spec: TaskSpec) -> float:
     """The largest difference of goal, mean or deviation over the state box, in scales of the goals."""
     rng = np.random.default_rng(0)
-    low, high = ([getattr(axis, end) for axis in spec.state] for end in ("low", "high"))
-    states = rng.uniform(low, high, (_STATES, len(spec.state)))
+    low, high = (np.array([getattr(axis, end) for axis in spec.state]) for end in ("low", "high"))
+    share = rng.uniform(size=(_STATES, len(spec.state)))
+    states = (1.0 - share) * low + share * high  # a difference of the two might be no number
     try:
         answers: list[Any] = [learner.model.predict(states) for learner in (one, other)]
     except NoSamples:

@@ -162,7 +162,7 @@ class Server:
         self._radii.step(task)
 
     def _found_damage(self, task: str, damage: str) -> None:
-        self.tasks.get(task).damage = damage
+        self.tasks.look(task).damage = damage
 
     def _queues(self) -> dict[str, Any]:
         return {verb: depth for lane in self._lanes for verb, depth in lane.depths().items()}

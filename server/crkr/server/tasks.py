@@ -10,7 +10,7 @@ from uuid import UUID
 import numpy as np
 
 from crkr.learner import Learner, Model, TrialColumns
-from crkr.protocol import KINDS, TaskSpec, UnknownTask, pack, task_id
+from crkr.protocol import KINDS, Internal, TaskSpec, UnknownTask, pack, task_id
 from crkr.server.log import Event, LoggedTrial
 
 __all__ = ["ServedTask", "Tasks", "hyperparameters"]
@@ -22,9 +22,9 @@ _MOST_NAMED: Final = 20  # tasks that an error tells of
 class ServedTask:
     """A task in service.
 
-    Who may change what: the writer `seq`, `configured`, `archived` and the counts, as it commits; the learning thread
-    `learner`, `model`, `spec`, `eligible` and `fault`. `model` is swapped whole, so that a reader holds one consistent
-    policy and no lock.
+    Who may change what: the writer `seq`, `agreed`, `configured`, `archived` and the counts, as it commits; the thread
+    that learns `learner`, `model`, `spec`, `eligible` and `fault`. `model` is swapped whole, so that a reader holds one
+    consistent policy and no lock.
 
     Attributes:
         created: The specification as created.
@@ -32,18 +32,21 @@ class ServedTask:
         learner: Only for the learning thread, and for the replay before it starts.
         model: The policy that answers now.
         spec: The specification in force.
+        agreed: The one that the log says, ahead of `spec` while learning lags behind.
         seq: Last log position that was committed.
         configured: Log position of the last change of its settings.
         archived: Answers reads only.
         samples: Stored trials by kind, removed ones too.
         eligible: Trials that may be learned from.
         fault: Why learning stopped, "" while it goes on.
+        restored: Its log was replayed to the end; else `fault` says why not, and only what is stored can be looked at.
         damage: What is wrong with a stored row that no prediction rests on, "" where nothing was found.
         log_id: Names the log that begins with this task's creation, whichever server reads it.
     """
 
     __slots__ = (
         "_packed",
+        "agreed",
         "archived",
         "configured",
         "created",
@@ -54,6 +57,7 @@ class ServedTask:
         "learner",
         "log_id",
         "model",
+        "restored",
         "samples",
         "seq",
         "spec",
@@ -64,12 +68,13 @@ class ServedTask:
         self.dimensions: Final = len(spec.state)
         self.learner = Learner(spec)
         self.model: Model = self.learner.model
-        self.spec = spec
+        self.spec = self.agreed = spec
         self.seq = self.configured = 1
         self.archived = False
         self.samples: Counter[str] = Counter()
         self.eligible = 0
         self.fault = self.damage = ""
+        self.restored = True
         self.log_id = UUID(int=0)
         self._packed: tuple[TaskSpec, bytes] | None = None
 
@@ -98,6 +103,7 @@ class ServedTask:
             self.archived = True
         elif entry.kind == "configure":
             self.configured = entry.seq
+            self.agreed = self.agreed.with_changes(entry.body["changes"])
 
     def note_columns(self, columns: TrialColumns) -> None:
         """Counts trials that the log holds."""
@@ -135,11 +141,28 @@ class Tasks:
         self._by_name[task.name] = task
 
     def find(self, name: str) -> ServedTask | None:
-        """The task, or None."""
-        return self._by_name.get(name)
+        """The task, or None; raises `Internal` for one that could not be restored."""
+        return self.get(name) if name in self._by_name else None
 
     def get(self, name: str) -> ServedTask:
-        """The task; raises `UnknownTask`."""
+        """The task.
+
+        Raises:
+            UnknownTask: There is none of that name.
+            Internal: It could not be restored.
+        """
+        task = self._by_name.get(name)
+        if task is None or not task.restored:
+            task = self.look(name)
+            raise Internal(
+                f"task {name!r} cannot be restored from its log, whose trials can still be read (crkr export): "
+                f"{task.fault}",
+                details={"task": name, "fault": task.fault},
+            )
+        return task
+
+    def look(self, name: str) -> ServedTask:
+        """The task, restored or not, for what only looks at what is stored; raises `UnknownTask`."""
         task = self._by_name.get(name)
         if task is None:
             known = ", ".join(list(islice(self._by_name, _MOST_NAMED))) or "none yet"
@@ -157,6 +180,10 @@ class Tasks:
         end = after + limit
         return list(islice(self._by_name.values(), after, end)), end if end < len(self) else None
 
+    def faults(self) -> dict[str, str]:
+        """Names of the tasks that are out of order, and what is wrong with them."""
+        return {task.name: task.fault for task in self.all() if task.fault}
+
     def all(self) -> list[ServedTask]:
-        """Every task, oldest first."""
+        """Every task, oldest first, those that could not be restored too."""
         return list(self._by_name.values())

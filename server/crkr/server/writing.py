@@ -17,6 +17,7 @@ from crkr.protocol import (
     StorageError,
     TaskSpec,
     check_model_fits,
+    refuse_absurd,
 )
 from crkr.server.administration import Change, read_change
 from crkr.server.durations import Durations
@@ -33,8 +34,10 @@ logger = logging.getLogger(__name__)
 
 MOST_REPORTS: Final = 256  # in one commit
 _KNOWN_BEFORE: Final = frozenset({"archive", "fit"})  # what other changes did only the learner can tell
-_MOST_BACKLOG: Final = 20_000  # committed trials that wait to be learned from
-_MOST_ASKED: Final = 1024  # steps of learning that are waited for; a commit of reports may add to them
+_MOST_BACKLOG: Final = 20_000  # committed trials of a task that wait to be learned from
+_MOST_BACKLOG_OF_ALL: Final = 100_000  # the same of all tasks: one that learns slowly leaves room for the others
+_MOST_ASKED: Final = 1024  # steps of a task's learning that are waited for; a commit of reports may add to them
+_MOST_ASKED_OF_ALL: Final = 4096
 
 
 @final
@@ -96,15 +99,16 @@ class Writer:
     def _decode(self, request: Request) -> tuple[ServedTask, ReportRequest]:
         task = self._tasks.get(request.task)
         refuse_archived(task)
-        if self._learning.backlog > _MOST_BACKLOG:
-            raise Busy(f"{self._learning.backlog} trials wait to be learned from; ask again later", retry_ms=500)
+        own, everyones = self._learning.waiting(task)[0], self._learning.backlog
+        if own > _MOST_BACKLOG or everyones > _MOST_BACKLOG_OF_ALL:
+            raise Busy(f"{max(own, everyones)} trials wait to be learned from; ask again later", retry_ms=500)
         asked = ReportRequest.from_wire(request.message(), task.created)
         if asked.wait:  # a duplicate too, which adds no trial to the backlog
-            self._refuse_when_full(request)
+            self._refuse_when_full(request, task)
         return task, asked
 
-    def _refuse_when_full(self, request: Request) -> None:
-        if self._learning.asked >= _MOST_ASKED:
+    def _refuse_when_full(self, request: Request, task: ServedTask) -> None:
+        if self._learning.waiting(task)[1] >= _MOST_ASKED or self._learning.asked >= _MOST_ASKED_OF_ALL:
             raise busy(request.verb)
 
     def _acknowledge(self, request: Request, task: ServedTask, asked: ReportRequest, result: Stored | Conflict) -> None:
@@ -136,6 +140,7 @@ class Writer:
         task = self._tasks.find(spec.name)
         if task is None:
             check_model_fits(spec)
+            refuse_absurd(spec)
             task = ServedTask(spec)  # refuses what the learner does not offer, before anything is stored
             with self.commits.timing():
                 creation = self._log.create(spec)
@@ -155,7 +160,7 @@ class Writer:
     def _change(self, request: Request) -> None:
         task = self._tasks.get(request.task)
         change = read_change(request.verb, request.message(), task)
-        self._refuse_when_full(request)
+        self._refuse_when_full(request, task)
         self.commit(task, change, request)
 
     def commit(self, task: ServedTask, change: Change, request: Job, configured: int | None = None) -> None:

@@ -136,6 +136,7 @@ def _answers(info: dict[str, Any], trips: list[float]) -> list[_Check]:
         ("protocol", same, f"version {spoken}{advice}"),
         ("round trip", True, f"median {median:.2f} ms, worst of {len(trips)} {worst:.2f} ms"),
         ("tasks", True, named_tasks(info)),
+        *(("task", False, f"{name}: {fault}") for name, fault in (info.get("faulty") or {}).items()),
     ]
 
 

@@ -74,6 +74,7 @@ def _show_task(answer: Mapping[str, Any]) -> None:
     if "uptime" in answer:
         rows.append(("server up for", _duration(float(answer["uptime"]))))
     rows += [(name, str(answer[name])) for name in ("fault", "damage") if answer.get(name)]
+    rows += [("advice", str(one.get("message", one))) for one in answer.get("advice") or []]
     print_table(("task", str(answer.get("task", ""))), rows)
     _show_verbs(answer.get("latency_us") or {}, answer.get("queues") or {})
     _show_workers(answer.get("workers") or [], answer.get("more_workers") or 0)

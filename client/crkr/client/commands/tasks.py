@@ -107,7 +107,7 @@ def tasks(
                     entry["samples"],
                     entry["active"],
                     entry["model_version"],
-                    "archived" if entry["archived"] else "",
+                    "faulty" if "fault" in entry else "archived" if entry["archived"] else "",
                 )
                 for entry in found
             ],

@@ -22,6 +22,7 @@ __all__ = [
     "MAX_TRIALS",
     "Array",
     "array_from_wire",
+    "array_map",
     "array_to_wire",
     "check_encoding",
     "encoding",
@@ -108,13 +109,23 @@ def unpack(data: bytes) -> dict[str, Any]:
 
 
 def array_to_wire(array: NDArray[Any]) -> dict[str, Any]:
-    """Encodes an array as its map: integers as <i8, float32 as <f4, all else as <f8."""
+    """Encodes an array as its map: integers as <i8, float32 as <f4, other floats as <f8.
+
+    Raises:
+        TypeError: It is masked, or not of real numbers.
+    """
+    if isinstance(array, np.ma.MaskedArray) or array.dtype.kind not in "biuf":
+        what = "a masked array" if isinstance(array, np.ma.MaskedArray) else f"an array of {array.dtype}"
+        raise TypeError(f"{what} cannot be sent")
+    if array.dtype.kind == "u" and array.dtype.itemsize == 8 and array.size and array.max() >= 2**63:
+        raise TypeError("whole numbers of 2^63 and more cannot be sent in an array")
     dtype = "<i8" if array.dtype.kind in "iub" else "<f4" if array.dtype == np.float32 else "<f8"
     data = np.ascontiguousarray(array, dtype=dtype)
     return {"shape": list(array.shape), "dtype": dtype, "data": data.tobytes()}
 
 
-def _from_map(value: Mapping[str, Any], name: str) -> NDArray[Any]:
+def array_map(value: Mapping[str, Any], name: str) -> NDArray[Any]:
+    """The array of a map, as a view of the message's bytes; raises `Invalid`."""
     shape, dtype, data = value.get("shape"), value.get("dtype"), value.get("data")
     known = _DTYPES.get(dtype) if isinstance(dtype, str) else None
     if known is None:
@@ -162,19 +173,19 @@ def array_from_wire(value: object, name: str) -> Array:
         Invalid: None of these forms, or sizes and bytes that disagree.
     """
     if isinstance(value, dict):
-        return _from_map(value, name).astype(np.float64)
+        return array_map(value, name).astype(np.float64)
     if isinstance(value, list | tuple):
         return _from_list(value, name)
     if isinstance(value, int | float) and not isinstance(value, bool):
         return np.array(value, dtype=np.float64)
-    if isinstance(value, np.ndarray) and value.dtype.kind in "iuf":
+    if isinstance(value, np.ndarray) and value.dtype.kind in "iuf" and not isinstance(value, np.ma.MaskedArray):
         return value.astype(np.float64)
     raise Invalid(f"{name} must be an array map or a list of numbers; got {type(value).__name__}")
 
 
 def frozen_from_wire(value: object, name: str) -> Array:
     """As `array_from_wire`, but read-only: the bytes of a message are looked at where they are, not copied."""
-    array = _from_map(value, name) if type(value) is dict else array_from_wire(value, name)
+    array = array_map(value, name) if type(value) is dict else array_from_wire(value, name)
     if array.dtype != np.float64:
         array = array.astype(np.float64)
     if array.flags.writeable:

@@ -14,10 +14,10 @@ import numpy as np
 from crkr.protocol.checks import ROUNDING, SINGLE_STEP, choice, cost_number, finite_array, flag, integer, required, text
 from crkr.protocol.codec import Array, frozen_from_wire, id_from_wire
 from crkr.protocol.errors import Invalid
-from crkr.protocol.info import check_info, info_from_wire
+from crkr.protocol.info import MAX_INFO_BYTES, check_info, info_from_wire
 from crkr.protocol.task_spec import TaskSpec
 
-__all__ = ["KINDS", "Trial"]
+__all__ = ["KINDS", "MAX_INFO_BYTES", "Trial"]
 
 KINDS: Final = ("trial", "demonstration", "evaluation", "failed")
 

@@ -19,6 +19,7 @@ GROUP: Final = "crkr.specifications"
 """Entry points of what knows a skill's specification; `skill` is called with its name and its options."""
 
 STANDARD_OUTPUT: Final = Path("-")
+_LARGEST: Final = 2**22  # bytes of a specification's file
 
 
 def read_spec(path: Path) -> TaskSpec:
@@ -28,11 +29,21 @@ def read_spec(path: Path) -> TaskSpec:
         Invalid: It is neither, or no specification.
     """
     is_json = path.suffix == ".json"
+    if path.exists() and not path.is_file():
+        raise Invalid(f"{path} is no regular file; write the specification to one")
+    with path.open("rb") as file:
+        data = file.read(_LARGEST + 1)
+    if len(data) > _LARGEST:
+        raise Invalid(f"{path} has more than {_LARGEST} bytes, which no specification has")
     try:
-        data = json.loads(path.read_text()) if is_json else tomllib.loads(path.read_text())
-    except (json.JSONDecodeError, tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        text = data.decode("utf-8-sig")  # as both formats are by definition, whatever the locale says
+        return TaskSpec.from_dict(json.loads(text) if is_json else tomllib.loads(text), strict=True)
+    except Invalid as error:
+        raise Invalid(f"{path}: {error.message}", details=error.details) from error
+    except RecursionError as error:
+        raise Invalid(f"{path} is nested too deep for a specification") from error
+    except ValueError as error:  # also of numbers with thousands of digits
         raise Invalid(f"{path} is not {'JSON' if is_json else 'TOML'}: {error}") from error
-    return TaskSpec.from_dict(data, strict=True)
 
 
 def skill_spec(skill: str, /, **options: Any) -> TaskSpec:
@@ -69,7 +80,7 @@ def write_spec(spec: TaskSpec, path: Path) -> None:
     if path.suffix != ".json":
         raise Invalid(f"a specification is written as JSON; name the file .json, not {path.name}")
     try:
-        with path.open("x") as file:
+        with path.open("x", encoding="utf-8") as file:
             file.write(text)
     except FileExistsError as error:
         raise Invalid(f"{path} is there already, perhaps edited; choose another name, or remove it") from error

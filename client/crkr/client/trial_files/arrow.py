@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -13,6 +12,7 @@ import pyarrow as pa
 import pyarrow.csv
 import pyarrow.parquet
 
+from crkr.client.trial_files.csv_shape import LONGEST_LINE, csv_shape
 from crkr.client.trial_files.layout import Layout
 from crkr.protocol import Invalid
 
@@ -20,6 +20,7 @@ __all__ = ["ArrowSink", "csv_source", "parquet_source"]
 
 _TYPES: Final = {"int": pa.int64(), "float": pa.float64(), "text": pa.string(), "flag": pa.bool_()}
 _ROWS: Final = 4096  # read together
+_MOST_BYTES: Final = 2**30  # of one column in one group of rows
 _PLACE: Final = re.compile(r"(?:In CSV column #(\d+): )?(?:.*?)Row #(\d+): (.*)", re.DOTALL)
 
 
@@ -51,21 +52,31 @@ def parquet_source(path: Path, layout: Layout) -> tuple[int, Iterator[Mapping[st
     """How many rows there are, and each by column.
 
     Raises:
-        Invalid: Not Parquet, or columns of other names or types.
+        Invalid: Not Parquet, columns of other names or types, or sizes that no file of trials has.
     """
     with _complaints():
-        file = pa.parquet.ParquetFile(path)
-    names = file.schema_arrow.names
-    layout.check(names)
-    known = [name for name in layout.types if name in names]
-    schema = pa.schema([(name, _TYPES[layout.types[name]]) for name in known])
+        file = pa.parquet.ParquetFile(path, pre_buffer=False)
+        schema, count = file.schema_arrow, int(file.metadata.num_rows)
+    layout.check(schema.names)
+    known = [name for name in layout.read if name in schema.names]
+    with _complaints():
+        for name in known:
+            _check_type(name, schema.field(name).type, count)
+        _check_sizes(file.metadata, known, path.stat().st_size)
 
     def rows() -> Iterator[Mapping[str, Any]]:
+        number = 0
         with file, _complaints():
-            for batch in file.iter_batches(_ROWS, columns=known):
-                yield from pa.Table.from_batches([batch]).select(known).cast(schema).to_pylist()
+            for batch in file.iter_batches(_ROWS, columns=known, use_threads=False):
+                cells = [_cells(batch.column(name)) for name in known]
+                for place in range(batch.num_rows):
+                    number += 1
+                    yield {
+                        name: layout.parsed(number, name, column[place]) if is_text else column[place]
+                        for name, (column, is_text) in zip(known, cells, strict=True)
+                    }
 
-    return int(file.metadata.num_rows), rows()
+    return count, rows()
 
 
 def csv_source(path: Path, layout: Layout) -> tuple[int, Iterator[Mapping[str, Any]]]:
@@ -74,26 +85,88 @@ def csv_source(path: Path, layout: Layout) -> tuple[int, Iterator[Mapping[str, A
     Raises:
         Invalid: Not CSV, columns of other names, or a value of another type; the message names row and column.
     """
-    with path.open(newline="", encoding="utf-8-sig", errors="replace") as file, _complaints():
-        names = next(csv.reader(file), [])
-    layout.check(names)
-    wanted = [name for name in names if name in layout.types]
-    # A whole number may be written 3.0: spreadsheets do where a column has gaps.
-    types = {name: _TYPES["float" if layout.types[name] == "int" else layout.types[name]] for name in wanted}
-    with _complaints(names):
-        table = pa.csv.read_csv(
-            path,
-            read_options=pa.csv.ReadOptions(use_threads=False),  # or it would not tell the row of an error
-            parse_options=pa.csv.ParseOptions(newlines_in_values=True),
-            convert_options=pa.csv.ConvertOptions(
-                column_types=types,
-                include_columns=wanted,
-                null_values=[""],
-                strings_can_be_null=True,
-                quoted_strings_can_be_null=False,
-            ),
+    names, count = csv_shape(path, layout)
+    wanted = [name for name in names if name in layout.read]
+
+    def rows() -> Iterator[Mapping[str, Any]]:
+        number = 0
+        with _complaints(names), _csv_reader(path, wanted) as reader:
+            for batch in reader:
+                for row in batch.to_pylist():
+                    number += 1
+                    yield {name: layout.parsed(number, name, text) for name, text in row.items()}
+
+    return count, rows() if count else iter(())
+
+
+def _csv_reader(path: Path, wanted: Sequence[str]) -> Any:
+    return pa.csv.open_csv(
+        path,
+        # In threads it would not tell the row of an error. A row must fit in a block.
+        read_options=pa.csv.ReadOptions(use_threads=False, block_size=4 * LONGEST_LINE),
+        parse_options=pa.csv.ParseOptions(newlines_in_values=True),
+        convert_options=pa.csv.ConvertOptions(
+            column_types=dict.fromkeys(wanted, pa.string()),
+            include_columns=wanted,
+            null_values=[""],
+            strings_can_be_null=True,
+            quoted_strings_can_be_null=False,
+        ),
+    )
+
+
+def _check_type(name: str, kind: Any, count: int) -> None:
+    """Refuses what can be no cell: dates, lists, maps."""
+    kind = kind.value_type if pa.types.is_dictionary(kind) else kind
+    kind = kind.storage_type if isinstance(kind, pa.BaseExtensionType) else kind
+    is_plain = any(
+        is_one(kind)
+        for is_one in (
+            pa.types.is_null,
+            pa.types.is_boolean,
+            pa.types.is_integer,
+            pa.types.is_floating,
+            pa.types.is_decimal,
+            _is_text,
+            pa.types.is_binary,
+            pa.types.is_large_binary,
+            pa.types.is_fixed_size_binary,
         )
-    return table.num_rows, (row for batch in table.to_batches(_ROWS) for row in batch.to_pylist())
+    )
+    if count and not is_plain:
+        raise Invalid(f"row 1, column {name!r}: a trial has no value of type {kind} there")
+
+
+def _check_sizes(metadata: Any, known: Sequence[str], there: int) -> None:
+    """Compares what the file says of itself with what there is, before anything is read."""
+    total = 0
+    for place in range(metadata.num_row_groups):
+        group = metadata.row_group(place)
+        total += group.num_rows
+        for index in range(group.num_columns):
+            column = group.column(index)
+            if column.path_in_schema not in known:
+                continue
+            packed, size = column.total_compressed_size, column.total_uncompressed_size
+            if not 0 <= packed <= there or not 0 <= size <= _MOST_BYTES:
+                raise Invalid(
+                    f"column {column.path_in_schema!r} would have {size} bytes in one group of rows, {packed} of the "
+                    f"file's {there}; at most {_MOST_BYTES} are read at once, so write smaller groups"
+                )
+    if total != metadata.num_rows:
+        raise Invalid(f"it should have {metadata.num_rows} rows, but its groups have {total}")
+
+
+def _cells(column: Any) -> tuple[list[Any], bool]:
+    """The values of a column, and whether they are text."""
+    if isinstance(column, pa.ExtensionArray):  # UUIDs for one, whose storage is 16 bytes
+        column = column.storage
+    kind = column.type.value_type if pa.types.is_dictionary(column.type) else column.type
+    return column.to_pylist(), _is_text(kind)
+
+
+def _is_text(kind: Any) -> bool:
+    return any(is_one(kind) for is_one in (pa.types.is_string, pa.types.is_large_string, pa.types.is_string_view))
 
 
 @contextmanager
@@ -109,9 +182,9 @@ def _complaints(columns: Sequence[str] = ()) -> Iterator[None]:
         if error.errno is not None:  # of the disk, not of what is in the file
             raise
         raise Invalid(f"it cannot be read: {error}") from error
-    except csv.Error as error:
-        raise Invalid(f"it cannot be read: {error}") from error
-    except (pa.ArrowInvalid, pa.ArrowTypeError, pa.ArrowNotImplementedError) as error:
+    except (pa.ArrowException, ValueError, TypeError, LookupError, OverflowError, RecursionError) as error:
+        if isinstance(error, MemoryError):
+            raise
         found = _PLACE.match(str(error))
         if found is None:
             raise Invalid(f"it cannot be read: {error}") from error

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import sys
 from typing import Final
@@ -17,6 +18,9 @@ def main() -> None:
     """Runs `crkr` with the process's arguments."""
     for name in _THREADS:
         os.environ.setdefault(name, "1")
+    for stream in (sys.stdout, sys.stderr):  # a name that the locale cannot print must not end a command
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     from crkr.client.frame import build
 
     build(sys.argv[1:])(prog_name="crkr")

@@ -20,7 +20,9 @@ __all__ = ["ArrowSink", "csv_source", "parquet_source"]
 
 _TYPES: Final = {"int": pa.int64(), "float": pa.float64(), "text": pa.string(), "flag": pa.bool_()}
 _ROWS: Final = 4096  # read together
-_MOST_BYTES: Final = 2**30  # of one column in one group of rows
+_BUFFER: Final = 2**20  # bytes of each column in a Parquet file
+_MANY_BYTES: Final = 2**28  # of one column in one group of rows; more are believed where the file is large enough:
+_MOST_PACKED: Final = 100  # times smaller than they are
 _PLACE: Final = re.compile(r"(?:In CSV column #(\d+): )?(?:.*?)Row #(\d+): (.*)", re.DOTALL)
 
 
@@ -55,7 +57,7 @@ def parquet_source(path: Path, layout: Layout) -> tuple[int, Iterator[Mapping[st
         Invalid: Not Parquet, columns of other names or types, or sizes that no file of trials has.
     """
     with _complaints():
-        file = pa.parquet.ParquetFile(path, pre_buffer=False)
+        file = pa.parquet.ParquetFile(path, pre_buffer=False, buffer_size=_BUFFER)
         schema, count = file.schema_arrow, int(file.metadata.num_rows)
     layout.check(schema.names)
     known = [name for name in layout.read if name in schema.names]
@@ -148,10 +150,10 @@ def _check_sizes(metadata: Any, known: Sequence[str], there: int) -> None:
             if column.path_in_schema not in known:
                 continue
             packed, size = column.total_compressed_size, column.total_uncompressed_size
-            if not 0 <= packed <= there or not 0 <= size <= _MOST_BYTES:
+            if not 0 <= packed <= there or not 0 <= size <= max(_MANY_BYTES, _MOST_PACKED * packed):
                 raise Invalid(
-                    f"column {column.path_in_schema!r} would have {size} bytes in one group of rows, {packed} of the "
-                    f"file's {there}; at most {_MOST_BYTES} are read at once, so write smaller groups"
+                    f"column {column.path_in_schema!r} would have {size} bytes in one group of rows, made of {packed} "
+                    f"of the file's {there}; write it in smaller groups"
                 )
     if total != metadata.num_rows:
         raise Invalid(f"it should have {metadata.num_rows} rows, but its groups have {total}")

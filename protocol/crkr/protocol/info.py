@@ -13,6 +13,7 @@ import msgpack
 import numpy as np
 from numpy.typing import NDArray
 
+from crkr.protocol.checks import shown
 from crkr.protocol.codec import array_map, pack
 from crkr.protocol.errors import Invalid
 
@@ -22,7 +23,10 @@ MAX_INFO_BYTES: Final = 16 * 1024
 MAX_INFO_DEPTH: Final = 32
 _INTEGERS: Final = range(-(2**63), 2**64)  # what msgpack carries
 _ARRAY_DIMENSIONS: Final = 4
-_SHOWN: Final = 40  # characters of a key in a message
+_STEPS: Final = 8  # of a place that a message names
+_SHOWN: Final = 40  # characters of a key in it
+# (path of the outer value, key or index), and empty for the whole: it is put in words only for an error.
+_Path = tuple[Any, ...]
 
 
 def check_info(value: object) -> dict[str, Any]:
@@ -35,7 +39,7 @@ def check_info(value: object) -> dict[str, Any]:
         return {}
     if not isinstance(value, Mapping):
         raise Invalid(f"info must be a map with text keys; got {type(value).__name__}", details={"field": "info"})
-    copied: dict[str, Any] = _Copy().of(value, "info", 1)
+    copied: dict[str, Any] = _Copy().of(value, (), 1)
     _check_size(copied)
     return copied
 
@@ -50,7 +54,7 @@ def info_from_wire(value: object) -> dict[str, Any]:
         return {}
     if not isinstance(value, dict):
         raise Invalid(f"info must be a map with text keys; got {type(value).__name__}", details={"field": "info"})
-    _check_message(value, "info", 1)
+    _check_message(value, (), 1)
     _check_size(value)
     return restored_info(value)
 
@@ -91,7 +95,7 @@ def _check_size(info: Mapping[str, Any]) -> None:
         raise Invalid(f"info has {size} bytes; the limit is {MAX_INFO_BYTES}", details={"field": "info"})
 
 
-def _check_message(value: Any, path: str, depth: int) -> None:
+def _check_message(value: Any, path: _Path, depth: int) -> None:
     """The same rules for decoded msgpack, which holds nothing but its own types."""
     kind = type(value)
     if kind is dict:
@@ -100,12 +104,12 @@ def _check_message(value: Any, path: str, depth: int) -> None:
             if type(key) is not str:
                 raise _refused(path, f"keys must be text; got {type(key).__name__}")
             if type(entry) in (dict, list, msgpack.ExtType, msgpack.Timestamp):
-                _check_message(entry, _under(path, key), depth + 1)
+                _check_message(entry, (path, key), depth + 1)
     elif kind is list:
         _check_depth(path, depth)
         for place, entry in enumerate(value):
             if type(entry) in (dict, list, msgpack.ExtType, msgpack.Timestamp):
-                _check_message(entry, f"{path}[{place}]", depth + 1)
+                _check_message(entry, (path, place), depth + 1)
     else:
         raise _refused(path, f"cannot be encoded: {kind.__name__} is not plain data")
 
@@ -116,10 +120,12 @@ class _Copy:
     def __init__(self) -> None:
         self._left = MAX_INFO_BYTES  # every value takes a byte or more
 
-    def of(self, value: Any, path: str, depth: int) -> Any:
+    def of(self, value: Any, path: _Path, depth: int) -> Any:
         self._spend(1)
-        if value is None or isinstance(value, bool | np.bool_):
-            return None if value is None else bool(value)
+        if value is None or type(value) in (bool, float):
+            return value
+        if isinstance(value, np.bool_):
+            return bool(value)
         if isinstance(value, int | np.integer):
             return self._integer(int(value), path)
         if isinstance(value, float | np.floating):
@@ -136,7 +142,7 @@ class _Copy:
         if isinstance(value, list | tuple) and not isinstance(value, msgpack.ExtType):
             _check_depth(path, depth)
             self._spend(len(value))
-            return [self.of(entry, f"{path}[{place}]", depth + 1) for place, entry in enumerate(value)]
+            return [self.of(entry, (path, place), depth + 1) for place, entry in enumerate(value)]
         raise _refused(path, f"cannot be encoded: {type(value).__name__} is not plain data; give a text or numbers")
 
     def _spend(self, size: int) -> None:
@@ -144,23 +150,23 @@ class _Copy:
         if self._left < 0:
             raise Invalid(f"info has more than its limit of {MAX_INFO_BYTES} bytes", details={"field": "info"})
 
-    def _map(self, value: Mapping[Any, Any], path: str, depth: int) -> dict[str, Any]:
+    def _map(self, value: Mapping[Any, Any], path: _Path, depth: int) -> dict[str, Any]:
         _check_depth(path, depth)
         copied: dict[str, Any] = {}
         for key, entry in value.items():
             if not isinstance(key, str):
                 raise _refused(path, f"must be a map with text keys; got a key of type {type(key).__name__}")
-            copied[self._text(key, path)] = self.of(entry, _under(path, key), depth + 1)
+            copied[self._text(key, path)] = self.of(entry, (path, key), depth + 1)
         if _array_of(copied) is not None:
             raise _refused(path, "has the form in which arrays are sent; give the array, or other names")
         return copied
 
-    def _integer(self, value: int, path: str) -> int:
+    def _integer(self, value: int, path: _Path) -> int:
         if value not in _INTEGERS:
             raise _refused(path, "must be a whole number of 64 bits; give larger ones as text")
         return value
 
-    def _text(self, value: str, path: str) -> str:
+    def _text(self, value: str, path: _Path) -> str:
         self._spend(len(value))
         try:
             value.encode()
@@ -168,7 +174,7 @@ class _Copy:
             raise _refused(path, f"cannot be encoded: it is no Unicode text ({error.reason})") from error
         return str.__str__(value)  # an enumeration's value, not its name
 
-    def _array(self, value: NDArray[Any], path: str) -> NDArray[Any]:
+    def _array(self, value: NDArray[Any], path: _Path) -> NDArray[Any]:
         if isinstance(value, np.ma.MaskedArray):
             raise _refused(path, "is a masked array; fill its gaps with NaN, or leave them out")
         if value.dtype.kind not in "biuf":
@@ -187,22 +193,33 @@ class _Copy:
         return copied
 
 
-def _float(value: Any, path: str) -> float:
+def _float(value: Any, path: _Path) -> float:
     result = float(value)
     if result != value and result == result:  # of more bits than a float has
         raise _refused(path, f"must be a number of 64 bits; got {type(value).__name__}")
     return result
 
 
-def _check_depth(path: str, depth: int) -> None:
+def _check_depth(path: _Path, depth: int) -> None:
     if depth > MAX_INFO_DEPTH:
-        raise _refused(path[:_SHOWN] + "...", f"is nested more than {MAX_INFO_DEPTH} deep")
+        raise _refused(path, f"is nested more than {MAX_INFO_DEPTH} deep")
 
 
-def _under(path: str, key: str) -> str:
-    name = key if key.isidentifier() else repr(key)
-    return f"{path}.{name if len(name) <= _SHOWN else name[:_SHOWN] + '...'}"
+def _refused(path: _Path, why: str) -> Invalid:
+    where = f"info{_words(path)}"
+    return Invalid(f"{where} {why}", details={"field": where})
 
 
-def _refused(path: str, why: str) -> Invalid:
-    return Invalid(f"{path} {why}", details={"field": path})
+def _words(path: _Path) -> str:
+    """A place in `info`, as `.torque[3]`; at most the first few steps of a long one."""
+    steps: list[str | int] = []
+    while path:
+        path, step = path
+        steps.append(step)
+    words = [f"[{step}]" if isinstance(step, int) else f".{_key(step)}" for step in reversed(steps)]
+    return "".join(words[:_STEPS]) + ("..." if len(words) > _STEPS else "")
+
+
+def _key(key: str) -> str:
+    name = key if key.isidentifier() else shown(key)
+    return name if len(name) <= _SHOWN else name[:_SHOWN] + "..."

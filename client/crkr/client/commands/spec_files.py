@@ -80,10 +80,15 @@ def write_spec(spec: TaskSpec, path: Path) -> None:
     if path.suffix != ".json":
         raise Invalid(f"a specification is written as JSON; name the file .json, not {path.name}")
     try:
-        with path.open("x", encoding="utf-8") as file:
-            file.write(text)
+        file = path.open("x", encoding="utf-8")
     except FileExistsError as error:
         raise Invalid(f"{path} is there already, perhaps edited; choose another name, or remove it") from error
+    try:
+        with file:
+            file.write(text)
+    except OSError:
+        path.unlink()  # half of it
+        raise
 
 
 def _fields(spec: TaskSpec) -> Iterator[str]:

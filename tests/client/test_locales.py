@@ -5,7 +5,6 @@ import os
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -91,7 +90,7 @@ def test_a_specification_is_not_written_over_a_file(tmp_path: Path) -> None:
     assert out.read_text(encoding="utf-8") == "mine"
 
 
-def unreadable(folder: Path) -> dict[str, Any]:
+def unreadable(folder: Path) -> dict[tuple[str, ...], str]:
     os.mkfifo(folder / "pipe.csv")
     os.mkfifo(folder / "pipe.toml")
     (folder / "folder.csv").mkdir()

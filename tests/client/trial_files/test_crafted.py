@@ -16,8 +16,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from crkr.client.trial_files import Layout, reading
-from crkr.protocol import CrkrError, Invalid, TaskSpec
+from crkr.client.trial_files import Layout, reading, writing
+from crkr.protocol import CrkrError, Invalid, StoredTrial, TaskSpec
 
 LAYOUT = Layout(
     TaskSpec.from_dict(
@@ -149,8 +149,21 @@ def test_a_parquet_file_whose_columns_would_fill_the_memory_is_refused(tmp_path:
     table = pa.table({**columns, "cost": zeros, "state.x": zeros, "goal.a": zeros})
     path = tmp_path / "a.parquet"
     pyarrow.parquet.write_table(table, path, row_group_size=count, use_dictionary=False, compression="zstd")
-    with pytest.raises(Invalid, match=r"column 'cost' would have \d+ bytes in one group of rows"):
+    with pytest.raises(Invalid, match=r"a group of its rows would have \d+ bytes, but the file has \d+;"):
         reading(path, LAYOUT)
+
+
+@pytest.mark.parametrize("kind", ["npz", "parquet"])
+def test_a_bit_that_fell_over_in_an_export_is_found(tmp_path: Path, kind: str) -> None:
+    trials = [StoredTrial(row.trial, 2, 0.0) for row in reading(npz(tmp_path / "a.npz", good_members()), LAYOUT).rows]
+    path = tmp_path / f"b.{kind}"
+    with writing(path, LAYOUT) as sink:
+        sink.write(LAYOUT.columns(trials))
+    data = bytearray(path.read_bytes())
+    data[data.index(np.float64(0.25).tobytes()) + 6] ^= 1  # of the second state
+    path.write_bytes(data)
+    with pytest.raises(Invalid, match=f"{path}: .*(CRC|crc)"):
+        read(path)
 
 
 @pytest.mark.parametrize("kind", ["npz", "parquet", "csv"])

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from crkr.protocol.codec import Array
+from crkr.protocol.codec import Array, is_masked
 from crkr.protocol.errors import Invalid
 
 __all__ = [
@@ -46,7 +46,7 @@ def shown(value: object) -> str:
 
 def refuse_masked(value: object, name: str, within: int = 2) -> None:
     """Raises `Invalid` for a masked array, or lists with one in it: numpy would take what the mask hides."""
-    if isinstance(value, np.ma.MaskedArray):
+    if is_masked(value):
         raise Invalid(f"{name} is a masked array; fill its gaps with NaN, or leave them out", details={"field": name})
     if within and isinstance(value, list | tuple):
         for entry in value:

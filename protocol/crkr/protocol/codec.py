@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import sys
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import Any, Final
@@ -28,6 +29,7 @@ __all__ = [
     "encoding",
     "frozen_from_wire",
     "id_from_wire",
+    "is_masked",
     "pack",
     "unpack",
 ]
@@ -108,14 +110,20 @@ def unpack(data: bytes) -> dict[str, Any]:
     return message
 
 
+def is_masked(value: object) -> bool:
+    """Whether it is a masked array; numpy imports what makes them only where they are used, and so does this."""
+    kind = getattr(sys.modules.get("numpy.ma"), "MaskedArray", None)
+    return kind is not None and isinstance(value, kind)
+
+
 def array_to_wire(array: NDArray[Any]) -> dict[str, Any]:
     """Encodes an array as its map: integers as <i8, float32 as <f4, other floats as <f8.
 
     Raises:
         TypeError: It is masked, or not of real numbers.
     """
-    if isinstance(array, np.ma.MaskedArray) or array.dtype.kind not in "biuf":
-        what = "a masked array" if isinstance(array, np.ma.MaskedArray) else f"an array of {array.dtype}"
+    if is_masked(array) or array.dtype.kind not in "biuf":
+        what = "a masked array" if is_masked(array) else f"an array of {array.dtype}"
         raise TypeError(f"{what} cannot be sent")
     if array.dtype.kind == "u" and array.dtype.itemsize == 8 and array.size and array.max() >= 2**63:
         raise TypeError("whole numbers of 2^63 and more cannot be sent in an array")
@@ -178,7 +186,7 @@ def array_from_wire(value: object, name: str) -> Array:
         return _from_list(value, name)
     if isinstance(value, int | float) and not isinstance(value, bool):
         return np.array(value, dtype=np.float64)
-    if isinstance(value, np.ndarray) and value.dtype.kind in "iuf" and not isinstance(value, np.ma.MaskedArray):
+    if isinstance(value, np.ndarray) and value.dtype.kind in "iuf" and not is_masked(value):
         return value.astype(np.float64)
     raise Invalid(f"{name} must be an array map or a list of numbers; got {type(value).__name__}")
 

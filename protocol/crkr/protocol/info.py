@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crkr.protocol.checks import shown
-from crkr.protocol.codec import array_map, pack
+from crkr.protocol.codec import array_map, is_masked, pack
 from crkr.protocol.errors import Invalid
 
 __all__ = ["MAX_INFO_BYTES", "MAX_INFO_DEPTH", "check_info", "info_from_wire", "restored_info"]
@@ -175,7 +175,7 @@ class _Copy:
         return str.__str__(value)  # an enumeration's value, not its name
 
     def _array(self, value: NDArray[Any], path: _Path) -> NDArray[Any]:
-        if isinstance(value, np.ma.MaskedArray):
+        if is_masked(value):
             raise _refused(path, "is a masked array; fill its gaps with NaN, or leave them out")
         if value.dtype.kind not in "biuf":
             raise _refused(path, f"must be an array of real numbers; got {value.dtype}")

@@ -189,3 +189,14 @@ def test_a_goal_and_what_float32_made_of_it_are_one_trial(client: Client) -> Non
     task.recost([one], [-1e-9])
     [stored] = task.iter_samples()
     assert stored.trial.cost == 0.0
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("worker", [None, "", " ", "nan", "NULL", '"', "a\nb", "a\r\n,b", "θ", "-1"])
+def test_a_worker_and_a_version_come_back_equal_from_every_file(tmp_path: Path, kind: str, worker: str | None) -> None:
+    layout = Layout(TaskSpec.from_dict({"name": "toss", **SPEC}))
+    one = {"state": [0.1], "goal": [0.2], "cost": 0.3, "success": True, "worker": worker, "model_version": 2**53 + 1}
+    trial = Trial.create(layout.spec, id=UUID(int=1), **one)
+    [row] = reading(written(layout, [StoredTrial(trial, 2, 1.0)], tmp_path / f"a.{kind}"), layout).rows
+    assert (row.trial.worker, row.trial.model_version) == (worker, 2**53 + 1)
+    assert row.trial.digest() == trial.digest()

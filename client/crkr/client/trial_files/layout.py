@@ -31,6 +31,7 @@ _OPTIONAL: Final[Mapping[str, ColumnType]] = {
 _NUMBER: Final = re.compile(
     r"[-+]?(?:(?:\d+(?:\.\d*)?|\.\d+)(?:e[-+]?\d+)?|nan|inf(?:inity)?)", re.ASCII | re.IGNORECASE
 )
+_WHOLE: Final = re.compile(r"[-+]?\d+", re.ASCII)
 _LONGEST_NUMBER: Final = 400  # characters
 _FLAGS: Final = {"true": True, "1": True, "1.0": True, "false": False, "0": False, "0.0": False}
 
@@ -140,6 +141,8 @@ class Layout:
             return None
         if kind == "flag" and word.lower() in _FLAGS:
             return _FLAGS[word.lower()]
+        if kind == "int" and len(word) <= _LONGEST_NUMBER and _WHOLE.fullmatch(word):
+            return int(word)
         if kind != "flag" and len(word) <= _LONGEST_NUMBER and _NUMBER.fullmatch(word):
             return float(word)
         wanted = "true or false" if kind == "flag" else "a number"

@@ -28,6 +28,7 @@ __all__ = ["NpzSink", "npz_source"]
 # How a column's gaps are written.
 _GAPS: Final[Mapping[str, Any]] = {"int": -1, "float": np.nan, "text": "", "flag": False}
 _DTYPES: Final[Mapping[str, Any]] = {"int": np.int64, "float": np.float64, "text": np.str_, "flag": np.bool_}
+_GIVEN: Final = ("outcome_given", "worker_given")  # tell a gap from NaN everywhere, and from an empty name
 _ROWS: Final = 4096  # read together
 _LONGEST_LINE: Final = 2**20  # bytes of a trial's info
 _WIDEST: Final = 2**16  # bytes of a row of one array
@@ -57,6 +58,7 @@ class NpzSink:
             arrays[f"{group}_names"] = np.array([name.partition(".")[2] for name in names], dtype=np.str_)
         if layout.outcome:
             arrays["outcome_given"] = np.array([value is not None for value in columns[layout.outcome[0]]], dtype=bool)
+        arrays["worker_given"] = np.array([value is not None for value in columns["worker"]], dtype=bool)
         for name, kind in layout.types.items():
             if "." not in name and name != "info":
                 arrays[name] = _array(columns[name], kind)
@@ -122,7 +124,7 @@ def npz_source(path: Path, layout: Layout) -> tuple[int, Iterator[Mapping[str, A
     with _complaints():
         archive = zipfile.ZipFile(path)
         names = {name.removesuffix(".npy") for name in archive.namelist() if name.endswith(".npy")}
-        asked = [name for name in (*layout.read, *_groups(layout), "outcome_given") if name in names]
+        asked = [name for name in (*layout.read, *_groups(layout), *_GIVEN) if name in names]
         members = {name: _Member(archive, name) for name in asked if name != "info"}
     columns: dict[str, tuple[int, ...]] = {name: members[name].shape for name in members if name in layout.read}
     places: dict[str, list[str]] = {}  # coordinates by matrix
@@ -132,8 +134,7 @@ def npz_source(path: Path, layout: Layout) -> tuple[int, Iterator[Mapping[str, A
             columns |= {f"{group}.{name}": members[group].shape[:1] for name in places[group]}
     layout.check(columns)
     count = columns["id"][0] if len(columns["id"]) == 1 else -1
-    if "outcome_given" in members:
-        columns["outcome_given"] = members["outcome_given"].shape
+    columns |= {name: members[name].shape for name in _GIVEN if name in members}
     if odd := [f"{name} {shape}" for name, shape in columns.items() if shape != (count,)]:
         raise Invalid(f"every array must have one row for each of the ids; got {', '.join(odd)}")
     info = _info(archive, count) if "info" in names else None
@@ -215,19 +216,27 @@ def _rows(
                         row |= {f"{name}.{one}": values[place][j] for j, one in enumerate(places[name])}
                     else:
                         row[name] = values[place]
+                number = first + place + 1
+                worker_given = _given(row, "worker", number, unknown=False)
                 for name, kind in layout.read.items():
-                    if kind in ("int", "text") and row.get(name) == _GAPS[kind]:
+                    if (
+                        kind in ("int", "text")
+                        and row.get(name) == _GAPS[kind]
+                        and not (name == "worker" and worker_given)
+                    ):
                         row[name] = None
-                if not _outcome_given(row, first + place + 1):
+                if not _given(row, "outcome", number, unknown=True):
                     row |= dict.fromkeys(layout.outcome)
-                row["info"] = _line(info, first + place + 1) if info is not None else None
+                row["info"] = _line(info, number) if info is not None else None
                 yield row
 
 
-def _outcome_given(row: dict[str, Any], number: int) -> bool:
-    given = row.pop("outcome_given", True)
+def _given(row: dict[str, Any], name: str, number: int, *, unknown: bool) -> bool:
+    """Whether a row has what could also be taken for a gap; takes the mark out of it."""
+    mark = f"{name}_given"
+    given = row.pop(mark, unknown)
     try:
-        return flag(bool(given) if given in (0, 1) else given, "outcome_given")
+        return flag(bool(given) if given in (0, 1) else given, mark)
     except Invalid as error:
         raise Invalid(f"row {number}: {error.message}", details={"row": number}) from error
 

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-import reprlib
 from collections.abc import Collection, Mapping
 from typing import Any, Final
 
 import numpy as np
 
 from crkr.protocol.codec import Array, is_masked
-from crkr.protocol.errors import Invalid
+from crkr.protocol.errors import Invalid, shown
 
 __all__ = [
     "ROUNDING",
@@ -32,16 +31,6 @@ __all__ = [
 ROUNDING: Final = 1e-6  # of a range: how far outside it a value is taken as rounded, and moved to the bound
 SINGLE_STEP: Final = 2.0**-23  # of a number: the step from one float32 to the next
 _SHORT: Final = 64
-_REPR: Final = reprlib.Repr()
-_REPR.maxlevel, _REPR.maxstring, _REPR.maxother, _REPR.maxlong = 2, 60, 60, 60
-
-
-def shown(value: object) -> str:
-    """A value in a message: at most 80 characters, however large or deep it is."""
-    try:
-        return f"{_REPR.repr(value):.80}"
-    except Exception:  # a repr may fail in any way, a whole number's where it has thousands of digits
-        return f"a value of type {type(value).__name__}"
 
 
 def refuse_masked(value: object, name: str, within: int = 2) -> None:

@@ -14,7 +14,7 @@ import msgpack
 import numpy as np
 from numpy.typing import NDArray
 
-from crkr.protocol.errors import Invalid, Unsupported
+from crkr.protocol.errors import Invalid, Unsupported, shown
 from crkr.protocol.keys import PROTOCOL_VERSION
 
 __all__ = [
@@ -41,7 +41,7 @@ MAX_STATES: Final = 4096
 MAX_TRIALS: Final = 1024
 _MEDIA: Final = "application/msgpack"
 _DTYPES: Final = {name: np.dtype(name) for name in ("<f8", "<f4", "<i8")}
-_ENCODING: Final = re.compile(rf"{_MEDIA};crkr\.[a-z_]+\.v(\d+)")
+_ENCODING: Final = re.compile(rf"{_MEDIA};crkr\.[a-z_]+\.v([0-9]{{1,9}})")
 
 
 def encoding(kind: str) -> str:
@@ -61,8 +61,8 @@ def check_encoding(text: str) -> None:
     match = _ENCODING.fullmatch(text)
     if match is None or int(match[1]) != PROTOCOL_VERSION:
         raise Unsupported(
-            f"encoding {text!r} is not offered; this is {encoding('<type>')!r}",
-            details={"protocol": PROTOCOL_VERSION, "encoding": text},
+            f"encoding {shown(text)} is not offered; this is {encoding('<type>')!r}",
+            details={"protocol": PROTOCOL_VERSION, "encoding": text[:80]},
         )
 
 
@@ -73,7 +73,7 @@ def _default(value: object) -> object:
         return value.bytes
     if isinstance(value, np.generic):
         return value.item()
-    raise TypeError(f"{type(value).__name__} cannot be sent: {value!r}")
+    raise TypeError(f"{type(value).__name__} cannot be sent: {shown(value)}")
 
 
 def pack(message: Mapping[str, Any]) -> bytes:
@@ -137,9 +137,9 @@ def array_map(value: Mapping[str, Any], name: str) -> NDArray[Any]:
     shape, dtype, data = value.get("shape"), value.get("dtype"), value.get("data")
     known = _DTYPES.get(dtype) if isinstance(dtype, str) else None
     if known is None:
-        raise Invalid(f"{name}.dtype must be one of {', '.join(_DTYPES)}; got {dtype!r}")
+        raise Invalid(f"{name}.dtype must be one of {', '.join(_DTYPES)}; got {shown(dtype)}")
     if not isinstance(shape, list) or len(shape) > 4 or not _are_sizes(shape):
-        raise Invalid(f"{name}.shape must be a list of at most 4 sizes; got {shape!r:.80}")
+        raise Invalid(f"{name}.shape must be a list of at most 4 sizes; got {shown(shape)}")
     expected = known.itemsize * math.prod(shape)
     if not isinstance(data, bytes) or len(data) != expected:
         got = f"{len(data)} bytes" if isinstance(data, bytes) else type(data).__name__

@@ -139,12 +139,11 @@ def number(
 
 def cost_number(value: object, name: str) -> float:
     """A cost in [0, 1]; one that is outside by rounding becomes the bound. Raises `Invalid`."""
-    cost = number(value, name)
-    if 0.0 <= cost <= 1.0:
-        return cost + 0.0  # stores may lose the sign of -0.0
-    if not -ROUNDING <= cost <= 1.0 + ROUNDING:
-        raise Invalid(f"{name} must be a finite number in [0.0, 1.0]; got {cost}", details={"field": name})
-    return min(max(cost, 0.0), 1.0)
+    try:
+        cost = number(value, name, low=-ROUNDING, high=1.0 + ROUNDING)
+    except Invalid:
+        return number(value, name, low=0.0, high=1.0)  # says what is right, not what is let pass
+    return min(max(cost, 0.0), 1.0) + 0.0  # stores may lose the sign of -0.0
 
 
 def integer(value: object, name: str, *, low: int = 0, high: int = 2**62) -> int:

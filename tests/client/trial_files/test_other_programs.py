@@ -159,6 +159,19 @@ def test_the_gaps_of_a_data_frame_are_gaps(parquet: Write, csv: Write, layout: L
         assert second.trial.info == {"epoch": 3}
 
 
+@pytest.mark.parametrize("gap", ["", '""', "NA", "<NA>", "NULL"])
+def test_the_gaps_of_a_table_in_text_are_gaps(tmp_path: Path, layout: Layout, gap: str) -> None:
+    path = tmp_path / "a.csv"
+    names = "id,kind,success,cost,state.x,goal.a,outcome.m,outcome.n,model_version,removed,worker"
+    path.write_text(f"{names}\n{IDS[0]},failed,FALSE,{gap},1,2,{gap},0.5,{gap},{gap},NA\n", encoding="utf-8")
+    [row] = rows(path, layout)
+    assert (row.trial.cost, row.trial.model_version, row.removed, row.trial.worker) == (None, None, False, "NA")
+    assert np.array_equal(np.asarray(row.trial.outcome), [NAN, 0.5], equal_nan=True)
+    path.write_text(path.read_text(encoding="utf-8").replace("FALSE", gap), encoding="utf-8")
+    with pytest.raises(Invalid, match="row 1: success must be true or false"):
+        rows(path, layout)
+
+
 def test_numbers_of_a_database_are_numbers(parquet: Write, layout: Layout) -> None:
     path = parquet(
         {"cost": [Decimal("0.50"), Decimal("0.25")], "state.x": pa.array([1, 2], pa.int8()), "goal.a": ["1", " 2e0 "]}

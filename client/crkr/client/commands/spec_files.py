@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from crkr.client.guard import reason_missing
-from crkr.protocol import Invalid, TaskSpec, Unsupported
+from crkr.protocol import Invalid, StorageError, TaskSpec, Unsupported
 
 __all__ = ["STANDARD_OUTPUT", "read_spec", "skill_spec", "write_spec"]
 
@@ -27,12 +27,16 @@ def read_spec(path: Path) -> TaskSpec:
 
     Raises:
         Invalid: It is neither, or no specification.
+        StorageError: It cannot be read.
     """
     is_json = path.suffix == ".json"
     if path.exists() and not path.is_file():
         raise Invalid(f"{path} is no regular file; write the specification to one")
-    with path.open("rb") as file:
-        data = file.read(_LARGEST + 1)
+    try:
+        with path.open("rb") as file:
+            data = file.read(_LARGEST + 1)
+    except OSError as error:
+        raise StorageError(f"{path} cannot be read: {error.strerror}") from error
     if len(data) > _LARGEST:
         raise Invalid(f"{path} has more than {_LARGEST} bytes, which no specification has")
     try:

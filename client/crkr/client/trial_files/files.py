@@ -12,7 +12,7 @@ from uuid import uuid4
 
 from crkr.client.guard import require
 from crkr.client.trial_files.layout import FileRow, Layout
-from crkr.protocol import Invalid
+from crkr.protocol import Invalid, StorageError
 
 __all__ = ["Sink", "Source", "check_free", "check_kind", "reading", "writing"]
 
@@ -92,6 +92,10 @@ def writing(path: Path, layout: Layout, *, overwrite: bool = False) -> Iterator[
             os.fsync(file.fileno())
         check_free(path, overwrite=overwrite)  # it may have come meanwhile
         partial.replace(path)
+    except OSError as error:
+        if error.filename == str(partial):
+            error.filename = str(path)  # which the user knows
+        raise
     finally:
         partial.unlink(missing_ok=True)
 
@@ -145,5 +149,9 @@ def _naming(path: Path) -> Iterator[None]:
         yield
     except Invalid as error:
         raise Invalid(f"{path}: {error.message}", details=error.details) from error
+    except OSError as error:
+        if error.filename is not None:
+            raise
+        raise StorageError(f"{path} cannot be read: {error.strerror or error}") from error
     except MemoryError as error:
         raise Invalid(f"{path}: there is not enough memory to read it") from error

@@ -33,6 +33,7 @@ _NUMBER: Final = re.compile(
 )
 _WHOLE: Final = re.compile(r"[-+]?\d+", re.ASCII)
 _LONGEST_NUMBER: Final = 400  # characters
+_GAPS: Final = ("", "na", "<na>", "null")  # as R, pandas and databases write them in columns of numbers and flags
 _FLAGS: Final = {"true": True, "1": True, "1.0": True, "false": False, "0": False, "0.0": False}
 
 
@@ -137,7 +138,7 @@ class Layout:
         if text is None or kind == "text":
             return text
         word = text.strip()
-        if not word:
+        if word.lower() in _GAPS:
             return None
         if kind == "flag" and word.lower() in _FLAGS:
             return _FLAGS[word.lower()]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any, Final, final
 
@@ -69,19 +69,11 @@ def parquet_source(path: Path, layout: Layout) -> tuple[int, Iterator[Mapping[st
             _check_type(name, schema.field(name).type, count)
         _check_sizes(file.metadata, path.stat().st_size)
 
-    def rows() -> Iterator[Mapping[str, Any]]:
-        number = 0
+    def batches() -> Iterator[Any]:
         with file, _complaints():
-            for batch in file.iter_batches(_ROWS, columns=known, use_threads=False):
-                cells = [_cells(batch.column(name)) for name in known]
-                for place in range(batch.num_rows):
-                    number += 1
-                    yield {
-                        name: layout.parsed(number, name, column[place]) if is_text else column[place]
-                        for name, (column, is_text) in zip(known, cells, strict=True)
-                    }
+            yield from file.iter_batches(_ROWS, columns=known, use_threads=False)
 
-    return count, rows()
+    return count, _rows(batches(), known, layout)
 
 
 def csv_source(path: Path, layout: Layout) -> tuple[int, Iterator[Mapping[str, Any]]]:
@@ -93,15 +85,11 @@ def csv_source(path: Path, layout: Layout) -> tuple[int, Iterator[Mapping[str, A
     names, count = csv_shape(path, layout)
     wanted = [name for name in names if name in layout.read]
 
-    def rows() -> Iterator[Mapping[str, Any]]:
-        number = 0
+    def batches() -> Iterator[Any]:
         with _complaints(names), _csv_reader(path, wanted) as reader:
-            for batch in reader:
-                for row in batch.to_pylist():
-                    number += 1
-                    yield {name: layout.parsed(number, name, text) for name, text in row.items()}
+            yield from reader
 
-    return count, rows() if count else iter(())
+    return count, _rows(batches(), wanted, layout) if count else iter(())
 
 
 def _csv_reader(path: Path, wanted: Sequence[str]) -> Any:
@@ -160,11 +148,27 @@ def _check_sizes(metadata: Any, there: int) -> None:
         raise Invalid(f"it should have {metadata.num_rows} rows, but its groups have {total}")
 
 
-def _cells(column: Any) -> tuple[list[Any], bool]:
-    """The values of a column, and whether they are text."""
+def _rows(batches: Iterator[Any], names: Sequence[str], layout: Layout) -> Iterator[Mapping[str, Any]]:
+    number = 0
+    for batch in batches:
+        with _complaints():
+            cells = [_cells(batch.column(name), layout.read[name] == "float") for name in names]
+        for place in range(batch.num_rows):
+            number += 1
+            yield {
+                name: layout.parsed(number, name, column[place]) if is_text else column[place]
+                for name, (column, is_text) in zip(names, cells, strict=True)
+            }
+
+
+def _cells(column: Any, are_numbers: bool) -> tuple[list[Any], bool]:
+    """The values of a column, and whether they are text that is still to be read."""
     if isinstance(column, pa.ExtensionArray):  # UUIDs for one, whose storage is 16 bytes
         column = column.storage
     kind = column.type.value_type if pa.types.is_dictionary(column.type) else column.type
+    if are_numbers and _is_text(kind):
+        with suppress(pa.ArrowInvalid):  # there are gaps, or what is no number: each is looked at
+            return column.cast(pa.float64()).to_pylist(), False
     return column.to_pylist(), _is_text(kind)
 
 

@@ -184,6 +184,8 @@ def _cell(name: str, kind: ColumnType, value: Any) -> Any:
     Raises:
         Invalid: It is of another type; the message names the column.
     """
+    if type(value) is float and value == value and kind == "float":  # nearly every cell
+        return value
     if isinstance(value, Decimal):
         value = float(value)
     if kind == "flag":

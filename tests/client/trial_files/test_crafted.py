@@ -211,7 +211,14 @@ def run(*words: str, stdin: Any = subprocess.DEVNULL) -> tuple[int, str, float]:
         ("b.json", b'{"name": "x", "seed": ' + b"9" * 5000 + b"}", "is not JSON"),
         ("b.toml", b"seed = " + b"9" * 5000, "is not TOML"),
         ("c.toml", b"name" + b".a" * 5000 + b" = 1", "error: "),
-        ("d.toml", b"#" * (2**22 + 1), "has more than 4194304 bytes"),
+        ("d.toml", b"#" * (2**19 + 1), "has more than 524288 bytes"),
+        ("f.toml", b"name" + b".a" * 200_000 + b" = 1", "a key has more than 128 parts"),
+        (
+            "g.toml",
+            b"".join(b"[t%d]\n" % one for one in range(50_000)),
+            "unknown fields in the specification: t0",
+        ),
+        ("d.json", b'{"name": "x", "description": "\\ud800"}', "error: "),
         ("e.toml", b'name = "\xff"', "is not TOML: 'utf-8'"),
         ("c.json", b"[1, 2]", "a task specification is a map; got list"),
     ],
@@ -225,6 +232,7 @@ def test_a_specification_that_cannot_be_read_is_one_line(
     assert (status, said.count("\n")) == (1, 0)
     assert complaint in said
     assert str(path) in said
+    assert len(said) < 1500
     assert mib < LIMIT_MIB
 
 

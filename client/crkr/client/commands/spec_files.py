@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 import tomllib
 from collections.abc import Iterator
@@ -19,7 +20,10 @@ GROUP: Final = "crkr.specifications"
 """Entry points of what knows a skill's specification; `skill` is called with its name and its options."""
 
 STANDARD_OUTPUT: Final = Path("-")
-_LARGEST: Final = 2**22  # bytes of a specification's file
+_LARGEST: Final = 2**19  # bytes of a file; a specification with 256 coordinates everywhere has a fifth of it
+_MOST_DOTS: Final = 128  # of a key, for which the reader takes time by the square; prose has no more in a line
+_LONGEST_MESSAGE: Final = 1000  # characters; it may list thousands of fields
+_NO_KEY: Final = re.compile(r"[=,\[\]{}#]")
 
 
 def read_spec(path: Path) -> TaskSpec:
@@ -41,13 +45,25 @@ def read_spec(path: Path) -> TaskSpec:
         raise Invalid(f"{path} has more than {_LARGEST} bytes, which no specification has")
     try:
         text = data.decode("utf-8-sig")  # as both formats are by definition, whatever the locale says
+        if not is_json and _has_endless_key(text):
+            raise Invalid(f"a key has more than {_MOST_DOTS} parts")
         return TaskSpec.from_dict(json.loads(text) if is_json else tomllib.loads(text), strict=True)
     except Invalid as error:
-        raise Invalid(f"{path}: {error.message}", details=error.details) from error
+        raise Invalid(f"{path}: {error.message[:_LONGEST_MESSAGE]}", details=error.details) from error
     except RecursionError as error:
         raise Invalid(f"{path} is nested too deep for a specification") from error
     except ValueError as error:  # also of numbers with thousands of digits
         raise Invalid(f"{path} is not {'JSON' if is_json else 'TOML'}: {error}") from error
+
+
+def _has_endless_key(toml: str) -> bool:
+    for line in toml.splitlines():
+        parts = 0
+        for part in line.split("."):
+            parts = 0 if _NO_KEY.search(part) else parts + 1
+            if parts > _MOST_DOTS:
+                return True
+    return False
 
 
 def skill_spec(skill: str, /, **options: Any) -> TaskSpec:

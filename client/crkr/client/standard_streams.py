@@ -20,8 +20,9 @@ def open_streams() -> None:
             stream = open(os.devnull, mode)  # noqa: SIM115  # stays open to the end
             os.set_inheritable(stream.fileno(), True)
             setattr(sys, name, stream)
-    if isinstance(sys.stdout, io.TextIOWrapper):
-        sys.stdout.reconfigure(errors="backslashreplace")  # as standard error has it, where a locale lacks a character
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")  # a name that the locale lacks must not end a command
 
 
 def discard_output() -> None:

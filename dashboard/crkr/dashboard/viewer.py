@@ -110,7 +110,7 @@ class Viewer:
 
     def complaint(self) -> str:
         """The last line of its log."""
-        lines = self._log.read_text(errors="replace").strip().splitlines()
+        lines = self._log.read_text(errors="replace", encoding="utf-8").strip().splitlines()
         return lines[-1] if lines else "no output"
 
     def close(self) -> None:
@@ -139,7 +139,7 @@ class Viewer:
         while time.monotonic() < deadline:
             if not self.is_running:
                 raise Unavailable(f"the viewer ended at once: {self.complaint()}")
-            if SERVING in self._log.read_text(errors="replace") and _answers(address):
+            if SERVING in self._log.read_text(errors="replace", encoding="utf-8") and _answers(address):
                 return
             try:
                 self._process.wait(0.05)
@@ -181,6 +181,7 @@ def _environment(home: Path) -> dict[str, str]:
                 "config_file_path": str(settings),
                 "data_dir_path": str(home / "data"),
             }
-        )
+        ),
+        encoding="utf-8",
     )
     return {**os.environ, "XDG_CONFIG_HOME": str(home), "NO_COLOR": "1"}

@@ -205,7 +205,7 @@ def _evidence(rng: np.random.Generator) -> Iterator[Row]:
 
 def _resident() -> float:
     """Resident memory of this process [bytes]."""
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    pages = int(Path("/proc/self/statm").read_text(encoding="utf-8").split()[1])
     return float(pages * os.sysconf("SC_PAGE_SIZE"))
 
 

@@ -204,4 +204,4 @@ def _file(out: Path, name: str) -> Path:
 def _save(path: Path, result: dict[str, Any]) -> None:
     import json as json_format
 
-    path.write_text(json_format.dumps(json_data(result), indent=1) + "\n")
+    path.write_text(json_format.dumps(json_data(result), indent=1) + "\n", encoding="utf-8")

@@ -91,7 +91,7 @@ def _save(out: Path, result: dict[str, Any], runs: list[LearningRun], planner: d
     from crkr.experiments.learning_figure import draw_learning
 
     out.mkdir(parents=True, exist_ok=True)
-    (out / "learning.json").write_text(json_format.dumps(json_data(result), indent=1) + "\n")
+    (out / "learning.json").write_text(json_format.dumps(json_data(result), indent=1) + "\n", encoding="utf-8")
     draw_learning(runs, planner, _title(result), out / "learning.png")
 
 

@@ -22,7 +22,7 @@ from crkr.learner.selection import RadiiCache, Selection
 from crkr.learner.selector import SelectorFactory
 from crkr.learner.store import SampleStore
 from crkr.protocol import Array, Conflict, Invalid, TaskSpec, Trial, id_from_wire
-from crkr.protocol.checks import finite_array, number
+from crkr.protocol.checks import cost_number, finite_array, number
 
 __all__ = ["Knowledge", "check_fit"]
 
@@ -130,7 +130,7 @@ class Knowledge:
         """
         rows = self._rows_of(ids)
         checked = finite_array(costs, "costs", (len(rows),))
-        values = [number(cost, "cost", low=0.0, high=1.0) for cost in checked.tolist()]
+        values = [cost_number(cost, "cost") for cost in checked.tolist()]
         self._check_seqs([seq], 1)
         changed = [(row, cost) for row, cost in zip(rows, values, strict=True) if self.store.costs[row] != cost]
         for row, cost in changed:

@@ -16,6 +16,7 @@ CrkrError
 
 from __future__ import annotations
 
+import reprlib
 from collections.abc import Mapping
 from typing import Any, ClassVar, Final, final
 
@@ -36,7 +37,19 @@ __all__ = [
     "Unsupported",
     "error_from_wire",
     "error_to_wire",
+    "shown",
 ]
+
+_REPR: Final = reprlib.Repr()
+_REPR.maxlevel, _REPR.maxstring, _REPR.maxother, _REPR.maxlong = 2, 60, 60, 60
+
+
+def shown(value: object) -> str:
+    """A value in a message: at most 80 characters, however large or deep it is."""
+    try:
+        return f"{_REPR.repr(value):.80}"
+    except Exception:  # a repr may fail in any way, a whole number's where it has thousands of digits
+        return f"a value of type {type(value).__name__}"
 
 
 class CrkrError(Exception):

@@ -8,7 +8,7 @@ from uuid import UUID, uuid4
 
 import numpy as np
 
-from crkr.protocol.checks import finite_array
+from crkr.protocol.checks import finite_array, refuse_masked
 from crkr.protocol.codec import id_from_wire
 from crkr.protocol.errors import Invalid
 from crkr.protocol.predict import Prediction, check_states
@@ -89,6 +89,7 @@ def make_trials(
 
 def _one_each(value: Any, name: str, count: int) -> list[Any]:
     """`count` values, from one for all or one each."""
+    refuse_masked(value, name)
     listed = isinstance(value, list | tuple) or (isinstance(value, np.ndarray) and value.ndim > 0)
     values = list(value) if listed else [value] * count
     if len(values) != count:

@@ -9,6 +9,7 @@ from typing import Any, final
 from crkr.protocol.checks import entries, flag, integer, number, required
 from crkr.protocol.codec import MAX_TRIALS
 from crkr.protocol.errors import Invalid
+from crkr.protocol.info import restored_info
 from crkr.protocol.task_spec import TaskSpec
 from crkr.protocol.trial import Trial
 
@@ -117,8 +118,12 @@ class StoredTrial:
     def from_wire(cls, message: Mapping[str, Any], spec: TaskSpec) -> StoredTrial:
         """Reads one entry of a `samples` page; raises `Invalid`."""
         return cls(
-            Trial.from_wire(message, spec),
+            Trial.from_wire(message, spec, _stored_info),
             integer(required(message, "seq"), "seq"),
             number(required(message, "time"), "time"),
             flag(message.get("removed", False), "removed"),
         )
+
+
+def _stored_info(value: object) -> dict[str, Any]:
+    return {} if value is None else restored_info(value)

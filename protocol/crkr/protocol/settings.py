@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Final, final
 
 from crkr.protocol.checks import choice, integer, number
-from crkr.protocol.errors import Invalid
+from crkr.protocol.errors import Invalid, shown
 
 __all__ = ["LARGEST", "Exploration", "KernelSettings"]
 
@@ -76,7 +76,7 @@ class Exploration:
         entry = _map(value, "exploration")
         temperatures = entry.get("temperature", [0.1, 0.5])
         if not isinstance(temperatures, list | tuple) or not temperatures:
-            raise Invalid(f"exploration.temperature must be a list of numbers; got {temperatures!r:.80}")
+            raise Invalid(f"exploration.temperature must be a list of numbers; got {shown(temperatures)}")
         return cls(
             choice(entry.get("type", "gaussian"), "exploration.type", ("gaussian", "outcome")),
             number(entry.get("trust", 4.0), "exploration.trust", above=0.0, high=LARGEST),

@@ -16,7 +16,7 @@ from crkr.protocol import (
     id_from_wire,
     refuse_absurd,
 )
-from crkr.protocol.checks import finite_array, number, required, text
+from crkr.protocol.checks import cost_number, finite_array, required, text
 from crkr.protocol.codec import array_from_wire
 from crkr.server.tasks import ServedTask, hyperparameters
 
@@ -54,7 +54,7 @@ def read_change(verb: str, message: Mapping[str, Any], task: ServedTask) -> Chan
 def _recost(message: Mapping[str, Any], _task: ServedTask) -> Change:
     ids = _ids(message)
     costs = finite_array(array_from_wire(required(message, "costs"), "costs"), "costs", (len(ids),))
-    values = [number(cost, "costs", low=0.0, high=1.0) for cost in costs.tolist()]
+    values = [cost_number(cost, "costs") for cost in costs.tolist()]
     body = {"ids": ids, "costs": values, "reason": _reason(message)}
     return Change("recost", body, lambda _, changed: {"changed": int(changed)}, ids)
 

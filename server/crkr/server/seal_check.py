@@ -75,7 +75,12 @@ class SealCheck:
                     return
                 # In a group of its own: Ctrl-C is for the server, which ends this process.
                 self._process = subprocess.Popen(
-                    command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True, process_group=0
+                    command,
+                    stdin=subprocess.DEVNULL,
+                    stdout=subprocess.PIPE,
+                    text=True,
+                    process_group=0,
+                    encoding="utf-8",
                 )
                 os.setpriority(os.PRIO_PROCESS, self._process.pid, _LEAST_PRIORITY)
         except OSError as error:

@@ -143,7 +143,12 @@ def loading(endpoint: str, key: str, kind: str, width: int, seed: int) -> Iterat
 def _child(module: str, *arguments: str) -> Iterator[subprocess.Popen[str]]:
     command = [sys.executable, "-m", module, *arguments]
     with subprocess.Popen(
-        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env={**os.environ, **_ONE_THREAD}
+        command,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**os.environ, **_ONE_THREAD},
+        encoding="utf-8",
     ) as process:
         try:
             if _line(process.stdout) != "ready\n":

@@ -11,7 +11,6 @@ from crkr.client import Client
 from crkr.client.commands.counting import counting
 from crkr.client.console import print_json, stdout
 from crkr.client.options import Connect, Json, Timeout, ZenohConfig
-from crkr.protocol import Invalid
 
 __all__ = ["export"]
 
@@ -33,16 +32,15 @@ def export(
 
     Settings and fitted numbers are not in it: for a copy of everything, take `crkr backup`.
     """
-    from crkr.client.trial_files import Layout, check_kind, writing
+    from crkr.client.trial_files import Layout, check_free, check_kind, writing
 
     check_kind(file)
-    if file.exists() and not overwrite:
-        raise Invalid(f"{file} exists; choose another file, or --overwrite")
+    check_free(file, overwrite=overwrite)
     with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
         handle = client.task(task)
         layout, total = Layout(handle.spec), sum(handle.status()["samples"].values())
         done = 0
-        with writing(file, layout) as sink, counting(f"exporting {task}", total) as show:
+        with writing(file, layout, overwrite=overwrite) as sink, counting(f"exporting {task}", total) as show:
             following: int | None = 0
             while following is not None:
                 page, following = handle.samples(following, _PAGE)

@@ -10,8 +10,9 @@ import typer
 
 from crkr.client import Client
 from crkr.client.commands.counting import counting
-from crkr.client.console import print_json, stdout
+from crkr.client.console import print_json, stderr, stdout
 from crkr.client.options import Connect, Json, Timeout, ZenohConfig
+from crkr.protocol import Internal
 
 __all__ = ["import_"]
 
@@ -41,6 +42,10 @@ def import_(
         source = reading(file, Layout(handle.spec))
         with counting(f"importing {file.name}", source.count) as show:
             done = import_rows(handle, source.rows, timeout, show)
+    if done.accepted + done.duplicates != source.count:
+        raise Internal(f"{file} has {source.count} rows, but {done.accepted + done.duplicates} were acknowledged")
+    if done.packed:
+        stderr.print(f"{done.packed} rows have info that an earlier version took; it is kept as bytes under '$msgpack'")
     if as_json:
         print_json({"task": task, "file": str(file), "trials": source.count, **asdict(done)})
     else:

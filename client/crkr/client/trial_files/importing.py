@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, final
 from uuid import UUID
+
+import numpy as np
 
 from crkr.client.task import Task
 from crkr.client.trial_files.layout import FileRow
@@ -26,11 +28,13 @@ class Imported:
         accepted: Trials that the task had not.
         duplicates: Trials that it had.
         removed: Trials that were taken out of learning, as they were where the file comes from.
+        packed: Trials whose `info` was taken by an earlier version, but could not be now; it is kept as bytes.
     """
 
     accepted: int
     duplicates: int
     removed: int
+    packed: int = 0
 
 
 @final
@@ -45,7 +49,7 @@ class _Import:
         try:
             receipt = self._task.report_trials([row.trial for row in rows], wait=True, timeout_s=self._timeout_s)
         except Conflict as conflict:
-            new = [row for row in rows if self._present().get(row.trial.id) != row.trial.digest()]
+            new = [row for row in rows if self._present().get(row.trial.id) != _content(row.trial)]
             if len(new) == len(rows):
                 raise _in_row(conflict, rows) from conflict
             self.duplicates += len(rows) - len(new)
@@ -58,7 +62,7 @@ class _Import:
     def _present(self) -> dict[UUID, bytes]:
         """The content that every trial has now: the server compares with what was reported, before any new cost."""
         if self._known is None:
-            self._known = {stored.trial.id: stored.trial.digest() for stored in self._task.iter_samples()}
+            self._known = {stored.trial.id: _content(stored.trial) for stored in self._task.iter_samples()}
         return self._known
 
     def remove(self, ids: Sequence[UUID]) -> int:
@@ -90,13 +94,14 @@ def import_rows(
     """
     work = _Import(task, timeout_s)
     removed: list[UUID] = []
-    done = 0
+    done = packed = 0
     for batch in _batches(rows):
         work.report(batch)
         removed += [row.trial.id for row in batch if row.removed]
+        packed += sum(row.packed for row in batch)
         done += len(batch)
         progress(done)
-    return Imported(work.accepted, work.duplicates, work.remove(removed))
+    return Imported(work.accepted, work.duplicates, work.remove(removed), packed)
 
 
 def _batches(rows: Iterable[FileRow]) -> Iterator[list[FileRow]]:
@@ -110,6 +115,12 @@ def _batches(rows: Iterable[FileRow]) -> Iterator[list[FileRow]]:
             batch, size = [], 0
     if batch:
         yield batch
+
+
+def _content(trial: Trial) -> bytes:
+    """A digest that takes an outcome of NaN alone for none: data frames write both as empty cells."""
+    unseen = trial.outcome is not None and bool(np.isnan(trial.outcome).all())
+    return (replace(trial, outcome=None) if unseen else trial).digest()
 
 
 def _size(trial: Trial) -> int:

@@ -100,7 +100,7 @@ class Meter:
         self.lags.extend([after - moment for moment in received])
         self._fresh.clear()
         if STATM.exists() and (not self.sizes or after - self.sizes[-1][0] >= 1.0):
-            resident = int(STATM.read_text().split()[1]) * os.sysconf("SC_PAGESIZE")
+            resident = int(STATM.read_text(encoding="utf-8").split()[1]) * os.sysconf("SC_PAGESIZE")
             self.sizes.append((after, resident, progress.trials))
 
 

@@ -64,7 +64,7 @@ class Child:
 
     def output(self) -> str:
         """What it has printed to standard output."""
-        return self._output.read_text(errors="replace")
+        return self._output.read_text(errors="replace", encoding="utf-8")
 
     def interrupt(self) -> None:
         """Asks it to end, once: a second signal would end `crkr watch` at once, with half a recording."""

@@ -17,7 +17,7 @@ def open_streams() -> None:
     """Opens what is closed, to nowhere: else the next file or socket would take its place, and get what is printed."""
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:
-            stream = open(os.devnull, mode)  # noqa: SIM115  # stays open to the end
+            stream = open(os.devnull, mode, encoding="utf-8")  # noqa: SIM115  # stays open to the end
             os.set_inheritable(stream.fileno(), True)
             setattr(sys, name, stream)
     for stream in (sys.stdout, sys.stderr):

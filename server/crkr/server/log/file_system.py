@@ -20,7 +20,7 @@ def file_system_of(path: Path) -> str | None:
     """The type of the file system that holds a path, such as "ext4" or "nfs4"; None where the system does not say."""
     where = os.path.realpath(path)
     try:
-        lines = _MOUNTS.read_text(errors="replace").splitlines()
+        lines = _MOUNTS.read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:
         return None
     best, kind = "", None

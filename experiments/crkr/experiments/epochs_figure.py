@@ -28,7 +28,7 @@ def draw_epochs(ways: Mapping[str, Sequence[LearningRun]], criterion: str, title
     first = next(iter(ways.values()))
     trials = [score.trials for score in first[0].curve]
     for (name, runs), colour in zip(ways.items(), _colours(len(ways)), strict=True):
-        rates = np.array([[score.rate(criterion) for score in run.curve] for run in runs])  # (runs, epochs)
+        rates = np.array([[score.tally.rate(criterion) for score in run.curve] for run in runs])  # (runs, epochs)
         axes.fill_between(trials, rates.min(axis=0), rates.max(axis=0), color=colour, alpha=0.12, linewidth=0)
         axes.plot(trials, rates.mean(axis=0), color=colour, label=f"{name}: {rates[:, -1].mean():.2f} in the end")
         filled = [run.filled for run in runs if run.filled is not None]

@@ -177,7 +177,7 @@ def _summaries(ways: dict[str, list[LearningRun]]) -> dict[str, dict[str, Any]]:
 
     found = {}
     for label, runs in ways.items():
-        rates = [run.final.rate(_CRITERION) for run in runs]
+        rates = [run.final.tally.rate(_CRITERION) for run in runs]
         filled = [run.filled for run in runs if run.filled is not None]
         found[label] = {
             "mean": float(np.mean(rates)),
@@ -188,7 +188,7 @@ def _summaries(ways: dict[str, list[LearningRun]]) -> dict[str, dict[str, Any]]:
             "final": rates,
             "curve": {
                 "trials": [score.trials for score in runs[0].curve],
-                "rates": [[score.rate(_CRITERION) for score in run.curve] for run in runs],
+                "rates": [[score.tally.rate(_CRITERION) for score in run.curve] for run in runs],
             },
             "digests": [run.digest for run in runs],
         }

@@ -68,7 +68,7 @@ def _planner(skill: str, options: SkillOptions, course: Course, jobs: int) -> di
         return {}
     with Progress(stderr, "planning", course.contexts, "contexts") as progress:
         won = play_oracle(skill, options, course.contexts, course.judge, jobs=jobs, show=progress.show)
-    return {name: count / course.contexts for name, count in won.items()}
+    return won.rates()
 
 
 def _result(
@@ -76,12 +76,13 @@ def _result(
 ) -> dict[str, Any]:
     from crkr.experiments.learning_summary import summarise
 
+    criteria = dict.fromkeys(name for run in runs for name in run.final.tally.criteria)
     return {
         "skill": skill,
         "options": options,
         "course": course,
-        "summary": {name: summarise(runs, name, planner.get(name)) for name in runs[0].final.successes},
-        "runs": runs,
+        "summary": {name: summarise(runs, name, planner.get(name)) for name in criteria},
+        "runs": [run.to_dict() for run in runs],
     }
 
 

@@ -31,9 +31,9 @@ def draw_learning(runs: Sequence[LearningRun], oracle: Mapping[str, float], titl
     axes = figure.add_subplot()
     shown: list[tuple[Any, str]] = []
     trials = [score.trials for score in runs[0].curve]
-    for index, criterion in enumerate(runs[0].final.successes):
+    for index, criterion in enumerate(runs[0].final.tally.criteria):
         colour = COLOURS[index % len(COLOURS)]
-        rates = np.array([[score.rate(criterion) for score in run.curve] for run in runs])  # (runs, points)
+        rates = np.array([[score.tally.rate(criterion) for score in run.curve] for run in runs])  # (runs, points)
         what = f"{criterion}: mean and range of {len(runs)} runs" if len(runs) > 1 else f"{criterion}: one run"
         band = axes.fill_between(trials, rates.min(axis=0), rates.max(axis=0), color=colour, alpha=0.2, linewidth=0)
         (line,) = axes.plot(trials, rates.mean(axis=0), color=colour, marker=".")

@@ -19,7 +19,7 @@ def learn_many(skill: str, options: SkillOptions, parts: Sequence[tuple[Course, 
     with Progress(stderr, "learning", len(parts), "runs") as progress:
         for place, run in spread(skill, options, _learn, [(place, *part) for place, part in enumerate(parts)], jobs):
             runs[place] = run
-            rates = ", ".join(f"{name} {run.final.rate(name):.3f}" for name in run.final.successes)
+            rates = ", ".join(f"{name} {rate:.3f}" for name, rate in run.final.tally.rates().items())
             progress.show(len(runs), f"seed {run.seed}: {rates}", now=True)
     return [runs[place] for place in range(len(parts))]
 

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 from rerun.chunk import RrdReader
 
-from crkr.client.wilson import wilson_interval
+from crkr.client.tally import wilson_interval
 from crkr.dashboard import Feed
 from crkr.dashboard.poller import News
 from crkr.dashboard.rerun_view import Recording, RerunDisplay

@@ -75,10 +75,10 @@ class Curves:
         """Success of one evaluation with its 95 % interval."""
         times = {"trial": result.trial, "epoch": result.epoch}
         for index, name in enumerate(progress.criteria):
-            if name not in result.judged:
+            if not result.tally.judged[name]:
                 continue
             colour = CRITERIA[index % len(CRITERIA)]
-            low, high = result.interval(name)
+            low, high = result.tally.interval(name)
             # The band is one standard deviation wide on each side of its middle, which is not quite the rate.
             band = rr.Measurements(
                 (low + high) / 2,
@@ -92,7 +92,7 @@ class Curves:
                 ("evaluation", name, "rate"),
                 times["trial"],
                 times["epoch"],
-                result.rate(name),
+                result.tally.rate(name),
                 partial(rr.SeriesLines, colors=colour, names=name, widths=2.5),
             )
 

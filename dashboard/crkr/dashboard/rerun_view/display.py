@@ -71,8 +71,8 @@ class RerunDisplay:
         """Adds a point to the learning curve."""
         self._curves.epoch(result, progress)
         rates = ", ".join(
-            f"{name} {result.rate(name):.2f} [{result.interval(name)[0]:.2f}, {result.interval(name)[1]:.2f}]"
-            for name in result.judged
+            f"{name} {result.tally.rate(name):.2f} [{low:.2f}, {high:.2f}]"
+            for name, (low, high) in result.tally.intervals().items()
         )
         self.say(f"epoch {result.epoch}: {rates} of {result.balls} evaluation trials")
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -84,7 +85,7 @@ def evaluate(
     if json:
         print_json(result)
     else:
-        _print(result, list(score.successes))
+        _print(result, score.policy.criteria)
 
 
 def _before(task: Task) -> dict[str, Any] | None:
@@ -97,10 +98,10 @@ def _before(task: Task) -> dict[str, Any] | None:
         if history.trained > EARLY:
             break
     first = next((score for score in history.epochs if score.epoch == 0), None)
-    return None if first is None else {**first.rates(), "balls": first.balls}
+    return None if first is None else {**first.tally.rates(), "balls": first.balls}
 
 
-def _print(result: dict[str, Any], names: list[str]) -> None:
+def _print(result: dict[str, Any], names: Sequence[str]) -> None:
     stdout.print(f"{result['task']}: {result['balls']} fresh contexts, seed {result['seed']}")
     before, planner = result["before_learning"] or {}, result["oracle"] or {}
     for name in names:

@@ -167,3 +167,55 @@ def test_a_file_that_cannot_be_written_is_said_at_once(watch: Watch, tmp_path: P
     assert process.returncode == 1
     assert "missing" in error
     assert len(error.splitlines()) == 1
+
+
+def test_a_recording_that_is_there_is_replaced_only_where_that_was_asked_for(
+    watch: Watch, tmp_path: Path, free_port: int
+) -> None:
+    file = tmp_path / "night.rrd"
+    file.write_text("of last night")
+    away = ("--save", str(file), "--patience", "0.1", "--timeout", "0.2", "--connect", f"tcp/127.0.0.1:{free_port}")
+    _, error = watch(*away).communicate(timeout=PATIENCE_S)
+    assert error.splitlines() == [f"error: {file} exists; choose another file, or --overwrite"]
+    process = watch(*away, "--overwrite")
+    process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 1
+    assert [path.read_text() for path in tmp_path.iterdir()] == ["of last night"]
+
+
+def test_a_run_that_met_no_task_leaves_no_recording(watch: Watch, tmp_path: Path, free_port: int) -> None:
+    file = tmp_path / "run.rrd"
+    away = ("--patience", "0.1", "--timeout", "0.2", "--connect", f"tcp/127.0.0.1:{free_port}")
+    _, error = watch("--save", str(file), *away).communicate(timeout=PATIENCE_S)
+    assert "did not appear" in error
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    "environment",
+    [
+        {"RERUN": "off"},
+        {"RERUN_STRICT": "1", "RERUN_PANIC_ON_WARN": "1", "RERUN_FLUSH_TICK_SECS": "soon"},
+        {"_RERUN_TEST_FORCE_SAVE": "/nowhere/at.rrd"},
+        {"http_proxy": "http://127.0.0.1:9", "HTTP_PROXY": "http://127.0.0.1:9", "no_proxy": "", "NO_PROXY": ""},
+        {"PYTHONWARNINGS": "error", "LC_ALL": "C", "PYTHONUTF8": "0"},
+    ],
+    ids=lambda environment: next(iter(environment)),
+)
+def test_a_recording_that_is_asked_for_is_made_whatever_the_environment_says(
+    crane: Task, server: Any, watch: Watch, tmp_path: Path, environment: dict[str, str]
+) -> None:
+    report(crane, 30)
+    file = tmp_path / "run.rrd"
+    file.write_text("of last night")
+    process = watch(
+        "--connect", server.endpoint, "--save", str(file), "--overwrite", "--log-level", "info", **environment
+    )
+    line_with(process.stderr, "viewer: ")
+    line_with(process.stderr, "caught up with 30 trials")
+    process.send_signal(signal.SIGHUP)
+    _, rest = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 0, rest
+    assert rest.splitlines()[-1] == f"recording: {file}"
+    assert rows(file, "/cost/success") == 30
+    assert list(tmp_path.glob("*.rrd")) == [file]

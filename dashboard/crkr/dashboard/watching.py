@@ -15,14 +15,14 @@ from crkr.protocol import Unavailable, UnknownTask
 
 __all__ = ["StopRequest", "follow", "wait_for_task"]
 
-SIGNALS: Final = (signal.SIGINT, signal.SIGTERM)
+SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # the last when a terminal is closed
 PAUSE_S: Final = 0.2
 MAX_BURST: Final = 200  # publications between two looks at the clock
 
 
 @final
 class StopRequest:
-    """Becomes true at the first SIGINT or SIGTERM while entered; main thread only.
+    """Becomes true at the first SIGINT, SIGTERM or SIGHUP while entered; main thread only. `nohup` keeps its meaning.
 
     A plain flag: the handler runs on the main thread, and an event's lock may just then be held by that very thread.
     From then on a further signal ends the process at once, whatever it is doing.
@@ -33,7 +33,7 @@ class StopRequest:
         self._before: dict[signal.Signals, Any] = {}
 
     def __enter__(self) -> StopRequest:
-        self._before = {number: signal.signal(number, self._note) for number in SIGNALS}
+        self._before = {number: signal.signal(number, self._note) for number in _heeded()}
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -44,11 +44,17 @@ class StopRequest:
         return self._told
 
     def _note(self, number: int, frame: FrameType | None) -> None:
-        del number, frame  # either signal means the same
+        del number, frame  # each signal means the same
         # The system's own action, not KeyboardInterrupt: that would wait for a call into a library to return.
-        for each in SIGNALS:
+        for each in self._before:
             signal.signal(each, signal.SIG_DFL)
         self._told = True
+
+
+def _heeded() -> list[signal.Signals]:
+    """The signals, without SIGHUP where whoever started this process had it ignored."""
+    ignored = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    return [number for number in SIGNALS if number is not signal.SIGHUP or not ignored]
 
 
 def wait_for_task(

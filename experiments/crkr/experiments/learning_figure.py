@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from crkr.experiments.learning_run import LearningRun
+from crkr.sim_worker.figure import new_figure, save_figure
 
 __all__ = ["draw_learning"]
 
@@ -27,7 +27,7 @@ def draw_learning(runs: Sequence[LearningRun], oracle: Mapping[str, float], titl
         title: Of the figure.
         path: E.g. learning.png.
     """
-    figure = Figure(figsize=(7.0, 4.2), dpi=120, layout="constrained")
+    figure = new_figure(7.0, 4.2)
     axes = figure.add_subplot()
     shown: list[tuple[Any, str]] = []
     trials = [score.trials for score in runs[0].curve]
@@ -52,7 +52,7 @@ def draw_learning(runs: Sequence[LearningRun], oracle: Mapping[str, float], titl
     axes.set(xlabel=f"training trials, logarithmic from {EARLY}", xlim=(0, trials[-1]))
     axes.grid(alpha=0.3)
     axes.legend(*zip(*shown, strict=True), loc="lower right")
-    figure.savefig(path)
+    save_figure(figure, path)
 
 
 def _apart(trials: Sequence[int]) -> list[int]:

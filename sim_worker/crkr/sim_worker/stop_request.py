@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM as a wish that a loop looks at, so that nothing is cut off in the middle."""
+"""Ctrl-C, SIGTERM and a closed terminal as a wish that a loop looks at, so that nothing is cut off in the middle."""
 
 from __future__ import annotations
 
@@ -11,12 +11,14 @@ from typing import Any, Final, final
 
 __all__ = ["StopRequest", "ctrl_c_blocked"]
 
-SIGNALS: Final = (signal.SIGINT, signal.SIGTERM)
+SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # the last when a terminal is closed
 
 
 @final
 class StopRequest:
-    """While entered, remembers the first of SIGINT and SIGTERM instead of acting on it; main thread only.
+    """While entered, remembers the first of SIGINT, SIGTERM and SIGHUP instead of acting on it; main thread only.
+
+    `nohup` keeps its meaning: where SIGHUP is ignored, it stays so.
 
     Attributes:
         signal: Which one came, or None.
@@ -27,7 +29,9 @@ class StopRequest:
         self._before: dict[signal.Signals, Any] = {}
 
     def __enter__(self) -> StopRequest:
-        self._before = {each: signal.signal(each, self._remember) for each in SIGNALS}
+        ignored = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+        heeded = [each for each in SIGNALS if each is not signal.SIGHUP or not ignored]
+        self._before = {each: signal.signal(each, self._remember) for each in heeded}
         return self
 
     def __exit__(self, *exception: object) -> None:
@@ -39,7 +43,7 @@ class StopRequest:
 
     @property
     def status(self) -> int:
-        """Exit status by the shell's convention: 130 for SIGINT, 143 for SIGTERM, 0 for neither."""
+        """Exit status by the shell's convention: 130 for SIGINT, 143 for SIGTERM, 129 for SIGHUP, 0 for none."""
         return 0 if self.signal is None else 128 + self.signal
 
     def _remember(self, number: int, frame: FrameType | None) -> None:
@@ -49,9 +53,12 @@ class StopRequest:
 
 @contextmanager
 def ctrl_c_blocked() -> Iterator[None]:
-    """A process started meanwhile inherits the mask and never sees SIGINT; ours is delivered afterwards."""
+    """A process started meanwhile inherits the mask and never sees SIGINT or SIGHUP; ours are delivered afterwards.
+
+    A terminal sends both to all processes of a command, which ends its own in order.
+    """
     resource_tracker.ensure_running()  # starting it would lift the mask
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})
     try:
         yield
     finally:

@@ -27,13 +27,10 @@ def draw_learning_curve(history: RunHistory, title: str, budget: int, path: Path
     """
     if not history.epochs:
         return False
-    import matplotlib as mpl
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
+    from crkr.sim_worker.figure import mpl, new_figure, save_figure
 
     with mpl.rc_context({"font.size": 10, "axes.spines.top": False, "axes.spines.right": False}):
-        figure = Figure(figsize=(8.0, 4.5), dpi=120, layout="constrained")
-        FigureCanvasAgg(figure)  # no window system is asked for
+        figure = new_figure(8.0, 4.5)
         axes = figure.add_subplot()
         _curves(axes, history)
         _budget(axes, history, budget)
@@ -41,7 +38,7 @@ def draw_learning_curve(history: RunHistory, title: str, budget: int, path: Path
         axes.grid(alpha=0.25)
         # Outside: within the axes there is no corner that every run leaves free.
         figure.legend(loc="outside lower center", ncols=len(COLOURS), frameon=False)
-        figure.savefig(path, format="png")
+        save_figure(figure, path)
     return True
 
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from crkr.client.console import stderr
 from crkr.experiments.learning_run import Course, LearningRun, learn_once
+from crkr.sim_worker.guarded_skill import GuardedSkill
 from crkr.sim_worker.pool import spread
 from crkr.sim_worker.progress import Progress
 from crkr.sim_worker.skill import Skill, SkillOptions
@@ -26,4 +27,4 @@ def learn_many(skill: str, options: SkillOptions, parts: Sequence[tuple[Course, 
 
 def _learn(skill: Skill, part: tuple[int, Course, int]) -> tuple[int, LearningRun]:
     place, course, seed = part
-    return place, learn_once(skill, course, seed)
+    return place, learn_once(GuardedSkill(skill), course, seed)

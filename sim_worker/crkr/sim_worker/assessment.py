@@ -14,6 +14,7 @@ from crkr.client import Task
 from crkr.client.tally import Tally, success_by_criterion
 from crkr.protocol import MAX_STATES, Invalid, Prediction, Trial, task_id
 from crkr.sim_worker.evaluation import COST_OF_NOTHING
+from crkr.sim_worker.guarded_skill import GuardedSkill
 from crkr.sim_worker.oracle import Planner
 from crkr.sim_worker.pool import spread
 from crkr.sim_worker.randomness import fresh_rng
@@ -126,10 +127,11 @@ class _Part:
 
 def _play_part(skill: Skill, part: _Part) -> list[Played]:
     planner = skill if part.oracle and isinstance(skill, Planner) else None
+    player = GuardedSkill(skill)
     played = []
     for ball, goal in enumerate(part.goals, part.start):
-        state = skill.reset(fresh_rng(part.seed, ball))
-        result = skill.execute(goal)
+        state = player.reset(fresh_rng(part.seed, ball))
+        result = player.execute(goal)
         best = None if planner is None else dict(planner.best_plan(state))
         bare = Outcome(result.cost, result.success, result.executed, result.outcome, dict(result.info), None)
         played.append(Played(ball, bare, best))

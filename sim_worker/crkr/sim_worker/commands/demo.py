@@ -49,12 +49,12 @@ def demo(
     from crkr.sim_worker.demo.session import run_demo
     from crkr.sim_worker.demo.settings import DemoSettings
     from crkr.sim_worker.progress import Progress
-    from crkr.sim_worker.skills import check_skill
+    from crkr.sim_worker.skills import check_skill, default_task
 
     check_equipment(dashboard)
     settings = DemoSettings(
         skill=check_skill(skill),
-        task=skill if ":" not in skill else skill.split(":")[0].split(".")[-1].replace("_", "-").lower(),
+        task=default_task(skill),
         trials=trials,
         workers=workers,
         seed=seed,

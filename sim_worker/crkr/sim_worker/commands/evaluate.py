@@ -49,6 +49,7 @@ def evaluate(
 
     from crkr.client import Client
     from crkr.sim_worker import assessment
+    from crkr.sim_worker.guarded_skill import GuardedSkill
     from crkr.sim_worker.progress import Progress
     from crkr.sim_worker.skill import SkillOptions, options_in_force
     from crkr.sim_worker.skills import load_skill
@@ -59,7 +60,7 @@ def evaluate(
     chosen = options_in_force(player, options)
     with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
         judged = client.task(task)
-        answers = assessment.ask(judged, player, balls, seed)
+        answers = assessment.ask(judged, GuardedSkill(player), balls, seed)
         goals = np.concatenate([answer.goals for answer in answers])
         with Progress(stderr, "evaluating", balls, "contexts") as progress:
             played = assessment.play(

@@ -3,7 +3,7 @@ from typing import Any
 
 import pytest
 
-from crkr.dashboard.progress import MAX_NAMES, QUIET_S, Progress
+from crkr.dashboard.progress import MAX_EPOCHS, MAX_NAMES, QUIET_S, Progress
 from crkr.protocol import StoredTrial
 
 Make = Callable[..., StoredTrial]
@@ -128,3 +128,12 @@ def test_what_is_judged_by_no_criterion_of_the_others_counts_for_none_of_them(st
     assert (progress.window.rate("paper"), progress.window.rate("success")) == (0.5, 0.0)
     (result,) = progress.finished_epochs(now=2 * QUIET_S)
     assert (list(result.tally.criteria), result.tally.rate("paper")) == (["paper"], 0.75)
+
+
+def test_epochs_that_anybody_makes_up_do_not_fill_the_memory(stored: Make) -> None:
+    progress = Progress()
+    for seq in range(1, MAX_EPOCHS + 50):
+        progress.add(stored(seq, "evaluation", info={"epoch": 7919 * seq}), 10.0 * seq)
+        progress.finished_epochs(10.0 * seq)
+    assert len(progress.epochs) == MAX_EPOCHS
+    assert max(progress.epochs) == 7919 * (MAX_EPOCHS + 49)

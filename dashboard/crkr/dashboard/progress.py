@@ -17,6 +17,7 @@ __all__ = ["WINDOW", "EpochResult", "Progress", "Row"]
 
 WINDOW: Final = 50  # training trials in a running mean: the paper's epoch
 QUIET_S: Final = 3.0  # an evaluation that gets no more balls for so long is over
+MAX_EPOCHS: Final = 2000  # kept; the first that are over are forgotten
 MAX_NAMES: Final = 24  # reasons, criteria and workers told apart; what comes beyond is "other"
 
 
@@ -175,6 +176,9 @@ class Progress:
         return self.trials if model_version is None else bisect_right(self._training, model_version)
 
     def _evaluate(self, epoch: int, trial: int, outcomes: Mapping[str, bool], now: float) -> None:
+        if epoch not in self.epochs and len(self.epochs) >= MAX_EPOCHS:
+            closed = min((each for each, result in self.epochs.items() if result.closed), default=min(self.epochs))
+            del self.epochs[closed]
         result = self.epochs.setdefault(epoch, EpochResult(epoch, trial))
         result.tally.add(outcomes)
         result.last_seen = now

@@ -85,6 +85,8 @@ class LiveSession:
         view.task(_description(task))
         follow(self._client, task, feed, tick_s, lambda: goes_on() and not self.stop)
         feed.finish()
+        if feed.skipped:
+            self._say(f"skipped {feed.skipped} publications or answers that could not be read or shown")
         return feed.progress
 
 

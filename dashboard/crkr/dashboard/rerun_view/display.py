@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections import deque
 from collections.abc import Mapping, Sequence
@@ -21,6 +22,7 @@ from crkr.dashboard.view import NOT_STORED
 
 __all__ = ["RerunDisplay"]
 
+_logger = logging.getLogger(__name__)
 NUMBERS_EVERY_S: Final = 0.5  # small chunks cost a viewer far more than what they hold
 MOST_NUMBERS: Final = 50_000  # some megabytes
 PAGES_EVERY_S: Final = 1.0
@@ -43,14 +45,14 @@ class RerunDisplay:
         recording.layout(
             arrangement(replayed=replayed)
         )  # first: a viewer that has data and no layout makes up one of its own
-        self._stage = Stage(recording)
-        self._curves = Curves(recording)
+        self._times: dict[str, int] = {"trial": 0, "epoch": 0}
+        self._stage = Stage(recording, self._warn)
+        self._curves = Curves(recording, self._warn)
         self._status: Mapping[str, Any] = {}
         self._answered = 0.0
         self._next_numbers = self._next_pages = 0.0
         self._pages: dict[str, str] = {}
         self._speed: deque[tuple[float, int]] = deque(maxlen=10)
-        self._times: dict[str, int] = {"trial": 0, "epoch": 0}
 
     def task(self, description: str) -> None:
         """Writes the page that explains the panels."""
@@ -86,6 +88,10 @@ class RerunDisplay:
         """Adds a line to the log panel."""
         level = rr.TextLogLevel.WARN if warning else rr.TextLogLevel.INFO
         self._recording.at(self._times, ["log"], rr.TextLog(message, level=level))
+
+    def _warn(self, message: str) -> None:
+        _logger.warning("%s", message)
+        self.say(message, warning=True)
 
     def tick(self, now: float, progress: Progress) -> None:
         """Sends what is due."""

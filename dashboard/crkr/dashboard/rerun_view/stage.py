@@ -76,7 +76,7 @@ class Stage:
         self._say = say
         self._bodies = Names("bodies", *MAX_BODIES, say)
         self._paths = Names("paths", *MAX_PATHS, say)
-        self._crowded = False
+        self._crowded = self._changing = False  # what was told
         self._worlds: dict[str, _World] = {}
         self._early: deque[tuple[Row, Telemetry]] = deque(maxlen=MAX_EARLY)
         self._alone_until: float | None = None
@@ -120,7 +120,8 @@ class Stage:
         world.scenes += 1
         if world.scenes <= MAX_SCENES:
             self._draw_scene(world, scene)
-        elif world.scenes == MAX_SCENES + 1:
+        elif not self._changing:
+            self._changing = True
             self._say(f"the shapes of {world.name} change again and again; later ones are not shown")
 
     def tick(self, now: float) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 MakePeer = Callable[..., Any]
+PATIENCE_S = 60.0  # no promise, just no hang
 PROGRAM = """
 import os, sys, threading
 from crkr.client import Client
@@ -39,7 +40,7 @@ def start(program: str, endpoint: str) -> subprocess.Popen[str]:
 def finish(process: subprocess.Popen[str]) -> tuple[int, str, str]:
     """Status and output of a process that must end by itself."""
     try:
-        out, err = process.communicate(timeout=15)
+        out, err = process.communicate(timeout=PATIENCE_S)
     except subprocess.TimeoutExpired:
         process.kill()
         process.communicate()

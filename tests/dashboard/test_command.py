@@ -63,7 +63,7 @@ def test_a_signal_completes_the_recording_and_ends_the_page(
     process = watch("--connect", server.endpoint, "--save", str(file), "--log-level", "info")
     address = line_with(process.stderr, "viewer: ").removeprefix("viewer: ")
     page = address.split("?")[0]
-    with urllib.request.urlopen(page, timeout=5) as answer:
+    with urllib.request.urlopen(page, timeout=PATIENCE_S) as answer:
         assert answer.status == 200
     line_with(process.stderr, "caught up with 120 trials")
     process.send_signal(number)
@@ -96,12 +96,12 @@ def test_without_a_terminal_the_tables_become_lines(crane: Task, server: Any, wa
     process = watch("--terminal", "--connect", server.endpoint)
     assert "trials 7" in line_with(process.stdout, "trials")
     process.send_signal(signal.SIGTERM)
-    assert process.wait(10) == 0
+    assert process.wait(PATIENCE_S) == 0
 
 
 def test_a_server_that_does_not_come_is_one_line_and_a_failure(watch: Watch, free_port: int) -> None:
     process = watch("--terminal", "--patience", "1", "--connect", f"tcp/127.0.0.1:{free_port}")
-    out, error = process.communicate(timeout=20)
+    out, error = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 1
     assert out == ""
     assert [line.split()[0] for line in error.splitlines()] == ["waiting", "error:"]
@@ -135,14 +135,14 @@ def test_a_second_ctrl_c_ends_it_whatever_it_is_doing(watch: Watch, free_port: i
 def test_a_taken_port_that_was_asked_for_is_one_line_and_a_failure(watch: Watch) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = str(taken.getsockname()[1])
-        _, error = watch("--port", port).communicate(timeout=20)
+        _, error = watch("--port", port).communicate(timeout=PATIENCE_S)
     assert error.splitlines() == [
         f"error: port {port} on 127.0.0.1 is taken; choose another, or none and a free one is found"
     ]
 
 
 def test_a_window_without_a_display_is_one_line_and_a_failure(watch: Watch) -> None:
-    _, error = watch("--native", DISPLAY="", WAYLAND_DISPLAY="").communicate(timeout=20)
+    _, error = watch("--native", DISPLAY="", WAYLAND_DISPLAY="").communicate(timeout=PATIENCE_S)
     assert error.splitlines()[-1] == "error: --native needs a display, and there is none here; use --web or --terminal"
 
 
@@ -157,13 +157,13 @@ def test_a_window_without_a_display_is_one_line_and_a_failure(watch: Watch) -> N
 )
 def test_options_that_make_no_sense_together_are_wrong_usage(watch: Watch, options: list[str]) -> None:
     process = watch(*options)
-    process.communicate(timeout=20)
+    process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 2
 
 
 def test_a_file_that_cannot_be_written_is_said_at_once(watch: Watch, tmp_path: Path) -> None:
     process = watch("--save", str(tmp_path / "missing" / "run.rrd"))
-    _, error = process.communicate(timeout=20)
+    _, error = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 1
     assert "missing" in error
     assert len(error.splitlines()) == 1

@@ -74,13 +74,12 @@ def test_a_call_in_a_daemon_thread_does_not_keep_the_process(make_peer: MakePeer
     assert finish(process)[0] == 0
 
 
-def test_an_interrupt_ends_a_call_in_progress(make_peer: MakePeer) -> None:
+def test_an_interrupt_ends_a_call_in_progress(make_peer: MakePeer, processes: Any) -> None:
     peer = make_peer([{}, "hold"])
     process = start("client.task('a').refit()", peer.endpoint)
     assert process.stdout is not None
     assert process.stdout.readline() == "connected\n"
-    while len(peer.queries) < 2:
-        assert process.poll() is None
+    processes.wait_until(lambda: len(peer.queries) >= 2)
     process.send_signal(signal.SIGINT)
     code, _, err = finish(process)
     assert code == -signal.SIGINT

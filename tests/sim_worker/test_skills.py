@@ -107,6 +107,20 @@ def test_a_skill_that_cannot_be_made_is_one_line(tmp_path: Path, source: str, co
     assert complaint in line
 
 
+def test_a_thread_of_a_skill_does_not_keep_the_command(tmp_path: Path) -> None:
+    source = f"""
+import sys, threading
+sys.path.append({str(HERE)!r})
+from reaching import make
+threading.Thread(target=threading.Event().wait).start()
+"""
+    (tmp_path / "threaded.py").write_text(source)
+    command = [sys.executable, "-m", "crkr.client", "create", "--skill", "threaded:make", "--write", "-"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=60)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.startswith("{")
+
+
 def test_what_a_skill_prints_is_not_in_the_way_of_what_the_command_prints(tmp_path: Path) -> None:
     (tmp_path / "loud.py").write_text(
         f"import sys\nsys.path.append({str(HERE)!r})\nprint('loading')\nfrom reaching import make"

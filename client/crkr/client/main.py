@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import sys
+import threading
+from contextlib import suppress
 from typing import Final
 
 __all__ = ["main"]
@@ -19,4 +21,18 @@ def main() -> None:
         os.environ.setdefault(name, "1")
     from crkr.client.frame import build
 
-    build(sys.argv[1:])(prog_name="crkr")
+    try:
+        build(sys.argv[1:])(prog_name="crkr")
+    except SystemExit as end:
+        _leave_strangers_behind(end.code)
+        raise
+
+
+def _leave_strangers_behind(code: object) -> None:
+    """Ends the process where a thread of a user's skill would keep it for ever: ours are daemons, or have ended."""
+    if all(thread.daemon for thread in threading.enumerate() if thread is not threading.main_thread()):
+        return
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(OSError, ValueError):
+            stream.flush()
+    os._exit(code if isinstance(code, int) else 0 if code is None else 1)

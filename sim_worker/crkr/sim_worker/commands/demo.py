@@ -60,6 +60,7 @@ def demo(
         seed=seed,
         data=data.resolve(),
         recording=_unused(data.resolve() / "run.rrd"),
+        figure=_figure(data.resolve()),
         endpoint=f"tcp/{LOOPBACK}:{port or _free_port()}",
         dashboard=dashboard,
         stay=stay,
@@ -96,8 +97,14 @@ def _free_port() -> int:
     return port
 
 
+def _figure(data: Path) -> Path:
+    """The learning curve, drawn anew when a run is resumed; where no run was, a figure of that name is somebody's."""
+    path = data / "learning-curve.png"
+    return path if (data / "logs").is_dir() else _unused(path)
+
+
 def _unused(path: Path) -> Path:
-    """The path, or with the first number that makes it new: an earlier recording is kept."""
+    """The path, or with the first number that makes it new: what is there is kept."""
 
     def candidates() -> Iterator[Path]:
         yield path

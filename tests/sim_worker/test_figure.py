@@ -26,6 +26,7 @@ save_figure(figure, Path(sys.argv[1]))
         {"MPLBACKEND": "module://matplotlib_inline.backend_inline"},
         {"MPLBACKEND": "QtAgg"},
         {"MPLBACKEND": "none-of-matplotlib's"},
+        {"SOURCE_DATE_EPOCH": "yesterday"},
         {"HOME": "/nowhere", "MPLCONFIGDIR": "/proc/nowhere", "DISPLAY": ":77"},
         {"LANG": "C", "LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONWARNINGS": "error"},
     ],

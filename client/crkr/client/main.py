@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import sys
 import threading
@@ -18,7 +19,10 @@ _THREADS: Final = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 def main() -> None:
     """Runs `crkr` with the process's arguments."""
     for name in _THREADS:
-        os.environ.setdefault(name, "1")
+        if not _is_count(os.environ.get(name, "")):
+            os.environ[name] = "1"
+    if isinstance(sys.stdout, io.TextIOWrapper):  # bars and dashes are no reason to fail where the locale has none
+        sys.stdout.reconfigure(errors="replace")
     from crkr.client.frame import build
 
     try:
@@ -26,6 +30,11 @@ def main() -> None:
     except SystemExit as end:
         _leave_strangers_behind(end.code)
         raise
+
+
+def _is_count(value: str) -> bool:
+    """Whether a variable says how many threads, or how many at each level: OpenMP complains of all else."""
+    return all(part.strip().isdecimal() and int(part) > 0 for part in value.split(","))
 
 
 def _leave_strangers_behind(code: object) -> None:

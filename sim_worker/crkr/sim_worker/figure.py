@@ -8,6 +8,8 @@ from pathlib import Path
 # A notebook's kernel names a backend that lives in the notebook's environment. Matplotlib, which looks at this variable
 # while it is imported, refuses to load where that backend is not installed.
 os.environ["MPLBACKEND"] = "agg"
+if not os.environ.get("SOURCE_DATE_EPOCH", "0").isdecimal():  # a build's clock, which fonts are read by
+    del os.environ["SOURCE_DATE_EPOCH"]
 
 import matplotlib as mpl
 from matplotlib.figure import Figure

@@ -102,6 +102,11 @@ class Faulty:
             raise KeyError("goal")
         return {} if self._fault == "spec a map" else self._well.spec()
 
+    def best_plan(self, state: Any) -> Any:
+        if self._fault == "best_plan raises":
+            raise LookupError("no plan")
+        return self._well.best_plan(state)
+
     def scene(self) -> Any:
         if self._fault == "scene raises":
             raise OSError("no mesh")

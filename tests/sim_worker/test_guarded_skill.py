@@ -137,3 +137,22 @@ def test_a_skill_that_prints_and_moves_is_in_nobodys_way(train: Start, task: Tas
     assert json.loads(output)["trained"] == 60
     assert "swing" in log
     assert os.getcwd() != "/"
+
+
+def test_a_planner_that_raises_is_one_line(start_command: Start) -> None:
+    words = ("oracle", "--skill", "faulty:make", "--launcher", "best_plan raises", "--balls", "4", "--jobs", "1")
+    status, _, log = start_command(*words).finish()
+    assert status == 1
+    assert log.splitlines()[-1].startswith("error: Faulty.best_plan: LookupError: no plan (faulty.py, line ")
+    assert "Traceback" not in log
+
+
+def test_a_policy_of_a_skill_that_always_raises_is_not_judged(
+    train: Start, start_command: Start, task: Task, shared_endpoint: str
+) -> None:
+    train("make", "").result()
+    words = ("--skill", "faulty:make_always", "--launcher", "raises", "--balls", "30", "--jobs", "1", "--no-oracle")
+    status, _, log = start_command("evaluate", task.name, *words, "--connect", shared_endpoint).finish()
+    assert status == 1
+    assert "failed 10 times in a row" in log.splitlines()[-1]
+    assert "Traceback" not in log

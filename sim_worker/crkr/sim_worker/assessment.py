@@ -14,7 +14,7 @@ from crkr.client import Task
 from crkr.client.tally import Tally, success_by_criterion
 from crkr.protocol import MAX_STATES, Invalid, Prediction, Trial, task_id
 from crkr.sim_worker.evaluation import COST_OF_NOTHING
-from crkr.sim_worker.guarded_skill import GuardedSkill
+from crkr.sim_worker.guarded_skill import GuardedSkill, guarded_plan
 from crkr.sim_worker.oracle import Planner
 from crkr.sim_worker.pool import spread
 from crkr.sim_worker.randomness import fresh_rng
@@ -132,7 +132,7 @@ def _play_part(skill: Skill, part: _Part) -> list[Played]:
     for ball, goal in enumerate(part.goals, part.start):
         state = player.reset(fresh_rng(part.seed, ball))
         result = player.execute(goal)
-        best = None if planner is None else dict(planner.best_plan(state))
+        best = None if planner is None else guarded_plan(planner, state)
         bare = Outcome(result.cost, result.success, result.executed, result.outcome, dict(result.info), None)
         played.append(Played(ball, bare, best))
     return played

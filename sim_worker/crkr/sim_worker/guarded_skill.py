@@ -19,7 +19,7 @@ from crkr.protocol import CrkrError, Geom, TaskSpec, Trace, Trial
 from crkr.protocol.checks import finite_array
 from crkr.sim_worker.skill import Demonstration, Floats, Outcome, Skill
 
-__all__ = ["GuardedSkill", "SkillFault", "keep_standard_output", "told", "users_code"]
+__all__ = ["GuardedSkill", "SkillFault", "guarded_plan", "keep_standard_output", "told", "users_code"]
 
 logger = logging.getLogger(__name__)
 
@@ -188,6 +188,16 @@ class GuardedSkill:
             raise TypeError(f"the result of demonstration {number} must be an Outcome with a map of info")
         finite_array(one.state, f"the state of demonstration {number}", (len(self._checked_spec.state),))
         finite_array(one.goal, f"the goal of demonstration {number}", (len(self._checked_spec.goal),))
+
+
+def guarded_plan(planner: Any, state: Floats) -> dict[str, bool]:
+    """Success of a planner's best plan for a state (d,) by criterion; raises `SkillFault` for whatever it raises."""
+
+    def fault(error: BaseException) -> NoReturn:
+        raise SkillFault(f"{type(planner).__name__}.best_plan: {told(error)}") from error
+
+    with users_code(fault):
+        return {str(name): bool(met) for name, met in planner.best_plan(state).items()}
 
 
 def _scalar(value: Any) -> Any:

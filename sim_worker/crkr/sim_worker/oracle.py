@@ -7,6 +7,7 @@ from typing import Final, Protocol, runtime_checkable
 
 from crkr.client.tally import Tally
 from crkr.protocol import Invalid
+from crkr.sim_worker.guarded_skill import GuardedSkill, guarded_plan
 from crkr.sim_worker.pool import spread
 from crkr.sim_worker.randomness import fresh_rng
 from crkr.sim_worker.skill import Floats, Skill, SkillOptions
@@ -50,4 +51,5 @@ def _plan(skill: Skill, part: tuple[int, range]) -> list[dict[str, bool]]:
     if not isinstance(skill, Planner):
         raise Invalid("the skill has no planner of its own")
     seed, balls = part
-    return [dict(skill.best_plan(skill.reset(fresh_rng(seed, ball)))) for ball in balls]
+    player = GuardedSkill(skill)
+    return [guarded_plan(skill, player.reset(fresh_rng(seed, ball))) for ball in balls]

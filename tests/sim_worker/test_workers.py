@@ -91,7 +91,7 @@ def test_what_a_lost_worker_had_to_judge_is_judged_by_another(train: Start, task
     assert balls == {0: 40, 1: 40, 2: 40, 3: 40}
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_ends_every_process_within_five_seconds_with_a_summary(
     number: signal.Signals, train: Start, task: Task, processes: Any
 ) -> None:
@@ -115,13 +115,16 @@ def test_a_signal_ends_every_process_within_five_seconds_with_a_summary(
     assert balls.keys() <= set(range(trained(task) // 50 + 1))
 
 
-def test_ctrl_c_on_the_terminals_whole_group_is_quiet(train: Start, task: Task, processes: Any) -> None:
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
+def test_what_a_terminal_sends_to_the_whole_group_ends_it_quietly(
+    number: signal.Signals, train: Start, task: Task, processes: Any
+) -> None:
     command = train("-n", "2", "--seed", "1")
     under_way(task, processes, command)
     for pid in [*processes.descendants(command.process.pid), command.process.pid]:
-        os.kill(pid, signal.SIGINT)
+        os.kill(pid, number)
     status, _, log = command.finish()
-    assert status == 130, log
+    assert status == 128 + number, log
     assert "warning" not in log
     assert "Traceback" not in log
 

@@ -15,7 +15,9 @@ __all__ = ["workers"]
 
 TERMINATED: Final = 128 + signal.SIGTERM
 
-Skill = Annotated[str, typer.Argument(help="An installed skill, or your own as package.module:factory.")]
+Skill = Annotated[
+    str, typer.Argument(help="An installed skill, or your own as package.module:factory or path/to/file.py:factory.")
+]
 Workers = Annotated[int, typer.Option("-n", "--workers", min=1, max=256, help="Training processes.")]
 TaskName = Annotated[str | None, typer.Option("--task", help="Name of the task; the skill's own unless given.")]
 Trials = Annotated[

@@ -1,6 +1,9 @@
 """The client's commands against a real server: what people read, what programs read, and the exit status."""
 
 import json
+import os
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -284,3 +287,19 @@ def test_a_wrong_count_of_numbers_is_refused_by_the_coordinates_names(
     run: Run, task: str, command: str, arguments: list[str], message: str
 ) -> None:
     assert run(command, task, *arguments, status=1).stderr == f"error: {message}\n"
+
+
+@pytest.mark.parametrize(
+    "environment",
+    [
+        {"PYTHONIOENCODING": "ascii"},
+        {"PYTHONIOENCODING": "latin-1"},
+        {"OMP_NUM_THREADS": "many", "PYTHONWARNINGS": "error"},
+    ],
+    ids=lambda environment: next(iter(environment.values())),
+)
+def test_help_is_printed_whatever_the_environment_says(environment: dict[str, str]) -> None:
+    command = [sys.executable, "-m", "crkr.client", "evaluate", "--help"]
+    done = subprocess.run(command, env={**os.environ, **environment}, capture_output=True, check=False)
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert b"--balls" in done.stdout

@@ -55,7 +55,7 @@ def test_of_those_who_want_an_id_at_once_one_gets_it(make_peer: MakePeer) -> Non
             def announce(
                 client: Client, name: str = name, ready: threading.Barrier = ready, found: list[Any] = found
             ) -> None:
-                ready.wait(10)
+                ready.wait(60)
                 try:
                     found.append(stack.enter_context(client.task("throw").announce(name, timeout_s=0.5)))
                 except Conflict as refusal:
@@ -65,7 +65,7 @@ def test_of_those_who_want_an_id_at_once_one_gets_it(make_peer: MakePeer) -> Non
             for thread in threads:
                 thread.start()
             for thread in threads:
-                thread.join(10)
+                thread.join(60)
             assert sorted(type(one).__name__ for one in found) == ["Conflict", "Conflict", "Presence"]
         assert alive(peer.session) == ["a", "b", "c"]
 

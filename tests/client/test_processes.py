@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 MakePeer = Callable[..., Any]
+PATIENCE_S = 60.0  # no promise, just no hang
 PROGRAM = """
 import os, sys, threading
 from crkr.client import Client
@@ -39,7 +40,7 @@ def start(program: str, endpoint: str) -> subprocess.Popen[str]:
 def finish(process: subprocess.Popen[str]) -> tuple[int, str, str]:
     """Status and output of a process that must end by itself."""
     try:
-        out, err = process.communicate(timeout=15)
+        out, err = process.communicate(timeout=PATIENCE_S)
     except subprocess.TimeoutExpired:
         process.kill()
         process.communicate()
@@ -73,13 +74,12 @@ def test_a_call_in_a_daemon_thread_does_not_keep_the_process(make_peer: MakePeer
     assert finish(process)[0] == 0
 
 
-def test_an_interrupt_ends_a_call_in_progress(make_peer: MakePeer) -> None:
+def test_an_interrupt_ends_a_call_in_progress(make_peer: MakePeer, processes: Any) -> None:
     peer = make_peer([{}, "hold"])
     process = start("client.task('a').refit()", peer.endpoint)
     assert process.stdout is not None
     assert process.stdout.readline() == "connected\n"
-    while len(peer.queries) < 2:
-        assert process.poll() is None
+    processes.wait_until(lambda: len(peer.queries) >= 2)
     process.send_signal(signal.SIGINT)
     code, _, err = finish(process)
     assert code == -signal.SIGINT

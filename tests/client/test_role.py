@@ -62,14 +62,14 @@ def test_of_those_who_want_a_role_at_once_one_gets_it(make_peer: MakePeer) -> No
             def take(
                 client: Client, name: str = name, ready: threading.Barrier = ready, found: list[Any] = found
             ) -> None:
-                ready.wait(10)
+                ready.wait(60)
                 found.append(client.take_role("throw", name))
 
             threads = [threading.Thread(target=take, args=(client,)) for client in clients]
             for thread in threads:
                 thread.start()
             for thread in threads:
-                thread.join(10)
+                thread.join(60)
             assert sum(role is not None for role in found) == 1
             assert len(found) == 3
 
@@ -105,7 +105,7 @@ def test_while_the_server_is_held_or_gone_no_role_is_taken(start_server: Callabl
         finally:
             server.process.send_signal(signal.SIGCONT)
         server.process.terminate()
-        server.process.wait(10)
+        server.process.wait(60)
         with pytest.raises(Unavailable):
             client.take_role("throw", "judge")
 

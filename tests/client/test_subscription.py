@@ -129,3 +129,11 @@ def test_telemetry_has_a_topic_and_a_limit(free_port: int) -> None:
             client.task("throw").publish("trial", {"trace": b"0" * MAX_TELEMETRY_BYTES})
         with pytest.raises(Invalid, match="model"):
             client.task("throw").publish("model", {})
+
+
+def test_a_publication_above_the_limit_is_left_where_it_arrives(make_peer: MakePeer) -> None:
+    peer = make_peer([{}])
+    with Client(peer.endpoint) as client, connected(client, peer) as subscription:
+        publish(peer.session, "trial", {"number": 1, "trace": bytes(MAX_TELEMETRY_BYTES)})
+        publish(peer.session, "trial", {"number": 2})
+        assert [message["number"] for _, message in read_until(subscription, 2)] == [2]

@@ -148,7 +148,7 @@ def test_work_that_takes_long_is_asked_for_once(make_peer: MakePeer) -> None:
 
     with Client(peer.endpoint, timeout_s=20) as client, ThreadPoolExecutor(1) as pool:
         asked = pool.submit(client.task("a").refit)
-        assert peer.heard.wait(10)
+        assert peer.heard.wait(60)
         late = threading.Timer(2.0, answer_late)  # longer than two ordinary attempts
         late.start()
         assert asked.result() == {"accepted": False}
@@ -174,7 +174,7 @@ def test_a_client_may_be_there_before_its_server(make_peer: MakePeer, free_port:
     try:
         with Client(f"tcp/127.0.0.1:{free_port}", timeout_s=20) as client, ThreadPoolExecutor(1) as pool:
             asked = pool.submit(client.info)
-            assert retrying.event.wait(10)
+            assert retrying.event.wait(60)
             make_peer([INFO])
             assert asked.result() == INFO
     finally:
@@ -207,10 +207,10 @@ def test_closing_ends_a_call_in_progress(make_peer: MakePeer) -> None:
     client = Client(peer.endpoint, timeout_s=60)
     with ThreadPoolExecutor(1) as pool:
         asked = pool.submit(client.info)
-        assert peer.heard.wait(10)
+        assert peer.heard.wait(60)
         client.close()
         with pytest.raises(Unavailable, match="closed"):
-            asked.result(timeout=10)
+            asked.result(timeout=60)
     with pytest.raises(Unavailable, match="closed"):
         client.info()
     client.close()

@@ -149,7 +149,7 @@ def test_a_stopped_servers_run_is_recorded_whole(server: Any, crane: Task, tmp_p
     fill(crane)
     status = crane.status()
     server.process.send_signal(signal.SIGTERM)
-    server.process.wait(10)
+    server.process.wait(60)
     file = tmp_path / "run.rrd"
     done = run(server.data, "--save", str(file))
     assert (done.returncode, done.stdout) == (0, ""), done.stderr
@@ -188,12 +188,12 @@ def test_the_page_stays_until_it_is_stopped(server: Any, crane: Task, tmp_path: 
         assert process.stderr is not None
         try:
             (address,) = [process.stderr.readline()]
-            with urllib.request.urlopen(address.removeprefix("viewer: ").split("?")[0], timeout=5) as answer:
+            with urllib.request.urlopen(address.removeprefix("viewer: ").split("?")[0], timeout=60) as answer:
                 assert answer.status == 200
             assert "all of it is shown" in process.stderr.readline()
             assert process.poll() is None
             process.send_signal(signal.SIGINT)
-            assert process.wait(30) == 0
+            assert process.wait(60) == 0
         finally:
             process.kill()
 

@@ -136,7 +136,7 @@ def test_a_restarted_server_is_gone_on_with(start_server: Callable[..., Any], sp
         if step == "end" and seen.progress.trials == 2:
             step = next(steps)
             first.process.send_signal(signal.SIGTERM)
-            first.process.wait(10)
+            first.process.wait(60)
         elif step == "start again" and any(warning for warning, _ in seen.lines):
             step = next(steps)
             start_server(port=free_port)

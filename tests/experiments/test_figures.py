@@ -40,6 +40,16 @@ def test_a_figure_of_the_method_takes_no_simulation(app: Typer, tmp_path: Path, 
     assert_drawn(tmp_path / "new" / "folder" / f"{name}.png")
 
 
+def test_a_figure_that_is_there_is_replaced_only_where_that_was_asked_for(app: Typer, tmp_path: Path) -> None:
+    figure = tmp_path / "figure3.png"
+    figure.write_text("of an earlier run")
+    result = CliRunner().invoke(app, ["figure3", "--out", str(tmp_path)])
+    assert "exists; choose another file, or --overwrite" in str(result.exception)
+    assert figure.read_text() == "of an earlier run"
+    run(app, "figure3", "--out", str(tmp_path), "--overwrite")
+    assert_drawn(figure)
+
+
 def test_exploration_narrows_around_what_was_cheap() -> None:
     first, some, many = explored(4)
     assert (first.iterations, some.iterations, many.iterations) == (0, 5, 50)
@@ -67,6 +77,7 @@ def test_learning_past_the_budget_differs_from_stopping_at_it_once_it_is_filled(
             "20",
             "--jobs",
             "2",
+            "--overwrite",
             "--out",
             str(tmp_path),
         ]

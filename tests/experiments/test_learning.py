@@ -9,6 +9,7 @@ from typer import Typer
 from typer.testing import CliRunner
 
 from crkr.experiments.learning import learning
+from crkr.protocol import Invalid
 
 SHORT = ["--environment", "analytic", "--trials", "30", "--balls", "20", "--first-seed", "3"]
 
@@ -23,7 +24,9 @@ def app() -> Typer:
 def test_the_number_of_processes_changes_nothing(app: Typer, tmp_path: Path) -> None:
     answers = []
     for jobs in ("1", "2"):
-        result = CliRunner().invoke(app, [*SHORT, "--seeds", "2", "--jobs", jobs, "--json", "--out", str(tmp_path)])
+        result = CliRunner().invoke(
+            app, [*SHORT, "--seeds", "2", "--jobs", jobs, "--json", "--out", str(tmp_path), "--overwrite"]
+        )
         assert result.exit_code == 0, result.output
         answers.append(json.loads(result.stdout))
     assert answers[0] == answers[1]
@@ -54,3 +57,14 @@ def test_launcher_preset_and_demonstrations_are_chosen_by_flags(app: Typer) -> N
     assert other["course"]["demonstrations"] == 20
     assert other["runs"][0]["digest"] != default["runs"][0]["digest"]
     assert other["summary"]["strict"]["oracle"] is not None
+
+
+@pytest.mark.parametrize("name", ["learning.json", "learning.png"])
+def test_what_an_earlier_run_drew_is_replaced_only_where_that_was_asked_for(
+    app: Typer, tmp_path: Path, name: str
+) -> None:
+    (tmp_path / name).write_text("of an earlier run")
+    result = CliRunner().invoke(app, [*SHORT, "--seeds", "1", "--out", str(tmp_path)])
+    assert isinstance(result.exception, Invalid)
+    assert f"{name} exists; choose another file, or --overwrite" in str(result.exception)
+    assert [file.read_text() for file in tmp_path.iterdir()] == ["of an earlier run"]

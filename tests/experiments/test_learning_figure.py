@@ -1,10 +1,12 @@
 """What the figure says, as its SVG has it."""
 
 import re
+from collections import Counter
 from pathlib import Path
 
 import pytest
 
+from crkr.client.tally import Tally
 from crkr.experiments.learning_figure import draw_learning
 from crkr.experiments.learning_run import LearningRun, Score
 
@@ -12,7 +14,8 @@ MARKS = (0, 25, 50, 100, 750, 1000, 1250, 1500)
 
 
 def _run(seed: int) -> LearningRun:
-    scores = tuple(Score(marks, 100, {"hit": 50 + seed + index}, {}) for index, marks in enumerate(MARKS))
+    tallies = [Tally(100, Counter(hit=100), Counter(hit=50 + seed + index)) for index in range(len(MARKS))]
+    scores = tuple(Score(marks, tally, {}) for marks, tally in zip(MARKS, tallies, strict=True))
     return LearningRun(seed, scores[-1], scores, {}, None, "")
 
 

@@ -1,11 +1,13 @@
 """Whole runs of learning: repeatable by seed, and unchanged by what is watched on the way."""
 
+from collections import Counter
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy import stats
 
+from crkr.client.tally import Tally
 from crkr.experiments.learning_run import MARKS, Course, LearningRun, Score, learn_once
 from crkr.experiments.learning_summary import mean_interval, summarise
 from crkr.sim_worker.skill import SkillOptions
@@ -47,15 +49,15 @@ def test_every_trial_and_every_context_is_counted_once(analytic: TableTennis) ->
     run = learn_once(analytic, COURSE, 3)
     assert sum(run.training.values()) == COURSE.trials
     assert sum(run.final.reasons.values()) == run.final.contexts == COURSE.contexts
-    assert run.final.reasons["returned"] == run.final.successes["strict"] <= run.final.successes["paper"]
+    assert run.final.reasons["returned"] == run.final.tally.successes["strict"] <= run.final.tally.successes["paper"]
 
 
 @pytest.mark.parametrize("launcher", ["nominal", "wide"])
 def test_the_tuned_preset_learns_early(launcher: str) -> None:
     skill = TableTennis(SkillOptions(environment="analytic", launcher=launcher), traces=False)
     run = learn_once(skill, replace(COURSE, trials=200, contexts=100, marks=MARKS), 3)
-    assert run.curve[0].rate("strict") < 0.6  # by the five demonstrations alone
-    assert run.final.rate("strict") > {"nominal": 0.85, "wide": 0.6}[launcher]
+    assert run.curve[0].tally.rate("strict") < 0.6  # by the five demonstrations alone
+    assert run.final.tally.rate("strict") > {"nominal": 0.85, "wide": 0.6}[launcher]
 
 
 def test_a_mean_comes_with_students_interval() -> None:
@@ -68,7 +70,14 @@ def test_a_mean_comes_with_students_interval() -> None:
 
 def test_a_summary_names_the_worst_run() -> None:
     runs = [
-        LearningRun(seed, Score(10, 100, {"strict": won, "paper": 100}, {}), (), {}, None, "")
+        LearningRun(
+            seed,
+            Score(10, Tally(100, Counter(strict=100, paper=100), Counter(strict=won, paper=100)), {}),
+            (),
+            {},
+            None,
+            "",
+        )
         for seed, won in [(7, 95), (8, 91), (9, 97)]
     ]
     summary = summarise(runs, "strict", 0.98)

@@ -118,7 +118,7 @@ def test_whatever_happens_at_once_log_model_and_copies_agree(
             copy = tmp_path / f"copy {turn}"
             copy.mkdir()
             crkr("backup", str(server.data), str(copy / "crkr.sqlite3"))  # beside a server that dies or starts
-            server.process.wait(timeout=5)
+            server.process.wait(timeout=60)
             server = start_server(port=free_port)
             assert "agree" in crkr("replay", str(copy))
         processes.wait_until(lambda: crowd.failed or len(crowd.acknowledged) >= goals[0] + 30)
@@ -132,5 +132,5 @@ def test_whatever_happens_at_once_log_model_and_copies_agree(
     assert len({sample.trial.id for sample in stored}) == len(stored)
     assert set(crowd.acknowledged) <= {sample.trial.id for sample in stored}
     server.process.terminate()
-    assert server.process.wait(timeout=10) == 0
+    assert server.process.wait(timeout=60) == 0
     assert "agree" in crkr("replay", str(server.data))

@@ -44,7 +44,7 @@ def left(
         assert ask("task/reach/admin/recost", {"ids": ids[:3], "costs": [0.5] * 3})["changed"] == 3
         assert ask("task/reach/admin/remove", {"ids": ids[5:7]})["removed"] == 2
         server.process.send_signal(how)
-        server.process.wait(timeout=5)
+        server.process.wait(timeout=60)
         (server.data / "crkr.sqlite3-shm").unlink(missing_ok=True)  # memory that processes share, made anew
         return Path(server.data)
 

@@ -84,9 +84,9 @@ def test_what_was_acknowledged_is_there_once_after_the_server_was_stopped_under_
         thread.start()
     enough.wait()
     server.process.send_signal(how)
-    assert server.process.wait(timeout=5) == (0 if how == signal.SIGTERM else -signal.SIGKILL)
+    assert server.process.wait(timeout=60) == (0 if how == signal.SIGTERM else -signal.SIGKILL)
     for thread in threads:
-        thread.join(timeout=10)
+        thread.join(timeout=60)
 
     ask = connect(start_server().endpoint)
     stored = samples(ask)
@@ -129,7 +129,7 @@ def test_a_restarted_server_answers_as_before(
 
     before = answers(ask)
     server.process.kill()
-    server.process.wait(timeout=5)
+    server.process.wait(timeout=60)
     after = answers(connect(start_server().endpoint))
     np.testing.assert_allclose(after[0], before[0], rtol=0, atol=1e-9)
     assert after[1:] == before[1:]
@@ -181,7 +181,7 @@ def test_the_port_is_free_again_at_once(start_server: Start, free_port: int) -> 
     for _ in range(2):
         server = start_server(port=free_port)
         server.process.terminate()
-        assert server.process.wait(timeout=2.5) == 0
+        assert server.process.wait(timeout=60) == 0
     with socket.socket() as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         probe.bind(("127.0.0.1", free_port))

@@ -68,7 +68,7 @@ def disturbed(
 def kill(start_server: Start, free_port: int) -> Callable[[Any], Any]:
     def killed(server: Any) -> Any:
         server.process.kill()
-        server.process.wait(timeout=5)
+        server.process.wait(timeout=60)
         return start_server(port=free_port)
 
     return killed

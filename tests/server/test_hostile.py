@@ -249,7 +249,7 @@ def test_hostile_messages_get_typed_errors_and_leave_no_trace(
     assert ask("task/reach/admin/configure", {"changes": {"novel": "predict"}})["spec"]["novel"] == "predict"
     assert ask("task/reach/rpc/predict", {"states": [0.1, 0.2]})["active"] > 0
     server.process.kill()
-    server.process.wait(timeout=5)
+    server.process.wait(timeout=60)
     again = connect(start_server().endpoint)("task/calm/rpc/predict", question)
     assert {**again, "compute_us": 0} == calm
 

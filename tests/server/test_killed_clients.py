@@ -119,7 +119,7 @@ def test_killed_clients_leave_their_reports_and_nothing_else(
             assert process.stdout is not None
             whole = [text for text in process.stdout.read().split("\n")[:-1] if text]
             acknowledged |= {UUID(text) for text in whole}
-            process.wait(timeout=5)
+            process.wait(timeout=60)
         processes.wait_until(lambda names=names: all(workers(ask)[name]["state"] == "lost" for name in names))
         assert all(workers(ask)[name]["open_trials"] <= 1 for name in names)
         assert ask("task/reach/rpc/predict", {"states": [0.5, 0.5]})["active"] >= 1
@@ -153,7 +153,7 @@ def test_lost_stuck_and_finished_workers_are_told_apart_and_a_late_report_is_dat
     )
     ends["killed"].kill()
     os.kill(ends["stuck"].pid, signal.SIGSTOP)
-    ends["finished"].communicate("\n", timeout=10)
+    ends["finished"].communicate("\n", timeout=60)
     wanted = {"killed": "lost", "finished": "left", "stuck": "lost"}
     processes.wait_until(lambda: {name: one["state"] for name, one in workers(ask).items()} == wanted)
     first = workers(ask)["stuck"]

@@ -133,7 +133,7 @@ def test_the_endpoint_ends_with_the_server_and_only_loopback_is_listened_on(
         assert f"metrics at http://127.0.0.1:{metrics_port}/metrics" in server.log.read_text()
         assert f"0100007F:{metrics_port:04X} 00000000:0000 0A" in Path("/proc/net/tcp").read_text()
         server.process.send_signal(signal.SIGTERM)
-        assert server.process.wait(timeout=10) == 0
+        assert server.process.wait(timeout=60) == 0
     with pytest.raises(ConnectionRefusedError):
         socket.create_connection(("127.0.0.1", metrics_port))
     assert "Traceback" not in server.log.read_text()

@@ -143,7 +143,7 @@ def test_a_restarted_server_is_guided_as_before(
 
     before = answers(ask)
     server.process.kill()
-    server.process.wait(timeout=5)
+    server.process.wait(timeout=60)
     for old, new in zip(before, answers(connect(start_server().endpoint)), strict=True):
         np.testing.assert_allclose(new, old, rtol=0, atol=1e-9)
 

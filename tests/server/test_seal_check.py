@@ -91,7 +91,7 @@ def test_a_whole_log_is_found_whole_and_a_server_may_end_meanwhile(
     server = start_server(data=long_log)
     child = processes.wait_until(lambda: checking(server.process.pid), server.log)
     server.process.terminate()
-    assert server.process.wait(10) == 0
+    assert server.process.wait(60) == 0
     assert not processes.running(child)
     server = start_server(data=long_log)
     processes.wait_until(lambda: "task reach: every row is as it was stored" in server.log.read_text(), server.log)

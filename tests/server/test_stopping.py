@@ -146,7 +146,7 @@ def test_a_signal_right_after_the_start_ends_the_server(free_port: int, tmp_path
             assert process.stderr is not None
             assert "listening on" in process.stderr.readline()
             process.send_signal(number)
-            assert process.wait(timeout=5) == 0
+            assert process.wait(timeout=60) == 0
 
 
 def test_a_server_under_nohup_goes_on_when_the_terminal_is_closed(
@@ -177,7 +177,7 @@ def test_a_signal_while_a_long_log_is_read_ends_the_server_then(
             while not (data / "lock").exists():
                 pass  # the pytest timeout is the deadline
             process.send_signal(number)
-            assert process.communicate(timeout=10)[1] == ""
+            assert process.communicate(timeout=60)[1] == ""
             assert process.returncode == 0
         (data / "lock").unlink()
 

@@ -1,5 +1,6 @@
 """The figure of a demo."""
 
+from collections import Counter
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -7,14 +8,16 @@ from typing import Any
 import pytest
 from matplotlib.figure import Figure
 
+from crkr.client.tally import Tally
 from crkr.sim_worker.demo.learning_curve import draw_learning_curve
+from crkr.sim_worker.run_history import EpochScore
 
 
 def history(filled_at: int | None) -> Any:
     """A run of 500 trials, judged every 50, whose active set was full at some trial."""
     epochs = [
-        SimpleNamespace(trials=50 * epoch, balls=50, successes={"paper": 4 * epoch + 5, "strict": 4 * epoch})
-        for epoch in range(11)
+        EpochScore(epoch, 50 * epoch, Tally(50, Counter(paper=50, strict=50), Counter(paper=met + 5, strict=met)))
+        for epoch, met in enumerate(range(0, 44, 4))
     ]
     return SimpleNamespace(epochs=epochs, filled_at=filled_at)
 

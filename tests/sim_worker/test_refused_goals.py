@@ -77,7 +77,7 @@ def rogue() -> Iterator[Rogue]:
         thread = threading.Thread(target=made.serve, args=(queries,))
         thread.start()
         yield made
-    thread.join(5.0)
+    thread.join(60.0)
 
 
 @pytest.fixture

@@ -46,6 +46,16 @@ def test_an_epoch_is_scored_by_every_criterion_of_the_skill() -> None:
     ]
 
 
+def test_a_criterion_is_rated_over_the_trials_that_it_was_said_of() -> None:
+    history = RunHistory(SPEC)
+    for ball in range(50):
+        outcomes = {"paper": ball % 2 == 0, "strict": False}
+        history.add(stored(ball + 2, "evaluation", False, epoch=0, ball=ball, trained=0, outcomes=outcomes))
+    history.add(stored(52, "evaluation", True, epoch=0, ball=50, trained=0))  # names no criterion of its own
+    (score,) = history.epochs
+    assert score.tally.rates() == {"paper": 0.5, "strict": 0.0, "success": 1.0}
+
+
 def test_the_rate_counts_this_session_only() -> None:
     history = RunHistory(SPEC)
     for seq in [2, 3, 4, 100, 101, 102]:

@@ -116,7 +116,7 @@ def test_a_signal_ends_every_process_within_five_seconds_with_a_summary(
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
-def test_a_signal_to_the_terminals_whole_group_is_quiet(
+def test_what_a_terminal_sends_to_the_whole_group_ends_it_quietly(
     number: signal.Signals, train: Start, task: Task, processes: Any
 ) -> None:
     command = train("-n", "2", "--seed", "1")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import threading
+from contextlib import suppress
 from traceback import format_exception
 from types import TracebackType
 from typing import Final
@@ -19,7 +20,8 @@ _THREADS: Final = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 def main() -> None:
     """Runs `crkr` with the process's arguments."""
     for name in _THREADS:
-        os.environ.setdefault(name, "1")
+        if not _is_count(os.environ.get(name, "")):
+            os.environ[name] = "1"
     sys.excepthook = _tell_defect  # before Typer looks for it
     threading.excepthook = _tell_defect_of_a_thread
     from crkr.client.frame import build
@@ -37,7 +39,9 @@ def main() -> None:
         sys.stderr.write(f"error: standard output cannot be written: {error.strerror}\n")
         discard_output()
         status = 1
-    sys.exit(flushed(status))
+    status = flushed(status)
+    _leave_strangers_behind(status)
+    sys.exit(status)
 
 
 def _tell_defect(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
@@ -51,3 +55,18 @@ def _tell_defect_of_a_thread(ended: threading.ExceptHookArgs) -> None:
     if ended.exc_value is not None and not isinstance(ended.exc_value, SystemExit):
         sys.stderr.write(f"Exception in thread {ended.thread.name if ended.thread else '?'}:\n")
         _tell_defect(ended.exc_type, ended.exc_value, ended.exc_traceback)
+
+
+def _is_count(value: str) -> bool:
+    """Whether a variable says how many threads, or how many at each level: OpenMP complains of all else."""
+    return all(part.strip().isdecimal() and int(part) > 0 for part in value.split(","))
+
+
+def _leave_strangers_behind(status: int) -> None:
+    """Ends the process where a thread of a user's skill would keep it for ever: ours are daemons, or have ended."""
+    if all(thread.daemon for thread in threading.enumerate() if thread is not threading.main_thread()):
+        return
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(OSError, ValueError):
+            stream.flush()
+    os._exit(status)

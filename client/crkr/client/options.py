@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-__all__ = ["Connect", "Json", "LogLevel", "Timeout", "ZenohConfig"]
+__all__ = ["Connect", "Json", "LogLevel", "Overwrite", "Timeout", "ZenohConfig"]
 
 Connect = Annotated[
     str | None,
@@ -35,6 +35,7 @@ ZenohConfig = Annotated[
     ),
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON value for programs.")]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace a file that is there already.")]
 LogLevel = Annotated[
     str,
     typer.Option(

@@ -15,7 +15,7 @@ import zenoh
 
 from crkr.client.forks import hold, is_forked, release
 from crkr.client.rpc import plain
-from crkr.protocol import CrkrError, Invalid, check_encoding, pub_key, unpack
+from crkr.protocol import MAX_TELEMETRY_BYTES, CrkrError, Invalid, check_encoding, pub_key, unpack
 
 __all__ = ["TOPICS", "Subscription"]
 
@@ -36,19 +36,30 @@ class _Buffer:
 
     def fill(self, samples: zenoh.handlers.Handler[zenoh.Sample], topics: Sequence[str]) -> None:
         """Takes samples until the subscriber is gone."""
-        for sample in samples:
+        try:
+            for sample in samples:
+                self._take(sample, topics)
+        finally:
+            with self.changed:
+                self.closed = True
+                self.changed.notify_all()
+
+    def _take(self, sample: zenoh.Sample, topics: Sequence[str]) -> None:
+        try:
             topic = str(sample.key_expr).rpartition("/")[2]
             if topic in topics:
                 self._put(topic, sample)
-        with self.changed:
-            self.closed = True
-            self.changed.notify_all()
+        except BaseException as error:  # a binding's panic too: the next publication may be well
+            _logger.warning("skipped a publication: %s: %s", type(error).__name__, error)
 
     def _put(self, topic: str, sample: zenoh.Sample) -> None:
         try:
             check_encoding(str(sample.encoding))
         except CrkrError as error:
             _logger.debug("skipped a publication on %s: %s", topic, error)
+            return
+        if len(sample.payload) > MAX_TELEMETRY_BYTES:
+            _logger.debug("skipped a publication on %s of %d bytes", topic, len(sample.payload))
             return
         with self.changed:
             self.dropped += len(self.messages) == self.messages.maxlen

@@ -90,7 +90,8 @@ class TerminalDisplay:
 
     def epoch(self, result: EpochResult, progress: Progress) -> None:
         """Says how an evaluation went."""
-        rates = ", ".join(f"{name} {result.rate(name):.2f}" for name in progress.criteria if name in result.judged)
+        del progress  # the result tells by itself
+        rates = ", ".join(f"{name} {rate:.2f}" for name, rate in result.tally.rates().items())
         self.say(f"epoch {result.epoch}: {rates} of {result.balls} evaluation trials")
 
     def status(self, status: Mapping[str, Any], progress: Progress, now: float) -> None:
@@ -154,10 +155,10 @@ class TerminalDisplay:
         table = _table("evaluation", "by epoch", "first", "newest", "95 % interval")
         results = sorted((r for r in progress.epochs.values() if r.closed), key=lambda result: result.epoch)
         for name in progress.criteria if results else ():
-            judged = [result for result in results if name in result.judged]
+            judged = [result.tally for result in results if result.tally.judged[name]]
             if not judged:
                 continue
-            rates = [result.rate(name) for result in judged]
+            rates = [tally.rate(name) for tally in judged]
             low, high = judged[-1].interval(name)
             table.add_row(
                 _text(name),

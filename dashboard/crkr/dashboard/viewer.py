@@ -148,9 +148,12 @@ class Viewer:
         raise Unavailable(f"the viewer's page at {address} did not answer within {READY_S:.0f} s: {self.complaint()}")
 
 
+_fetch: Final = urllib.request.build_opener(urllib.request.ProxyHandler({})).open  # a proxy does not know this machine
+
+
 def _answers(address: str) -> bool:
     try:
-        with urllib.request.urlopen(address, timeout=1.0):  # an http address of our own
+        with _fetch(address, timeout=1.0):
             return True
     except (urllib.error.URLError, OSError):
         return False

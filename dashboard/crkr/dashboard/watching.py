@@ -103,10 +103,10 @@ def follow(client: Client, task: Task, feed: Feed, tick_s: float, goes_on: Calla
         while goes_on():
             deadline = time.monotonic() + tick_s
             for _ in range(MAX_BURST):
-                received = subscription.receive(max(0.0, deadline - time.monotonic()))
-                if received is None:
+                if not feed.take(subscription, max(0.0, deadline - time.monotonic())):
                     break
-                feed.publication(*received)
             for news in poller.take():
                 feed.news(news, time.monotonic())
             feed.step(time.monotonic())
+            if subscription.closed and goes_on():
+                raise Unavailable("the subscription to the workers' publications has ended; start watch again")

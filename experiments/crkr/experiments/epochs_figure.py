@@ -6,10 +6,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from crkr.experiments.learning_figure import COLOURS
 from crkr.experiments.learning_run import LearningRun
+from crkr.sim_worker.figure import new_figure, save_figure
 
 __all__ = ["draw_epochs"]
 
@@ -23,12 +23,12 @@ def draw_epochs(ways: Mapping[str, Sequence[LearningRun]], criterion: str, title
         title: Of the figure.
         path: E.g. figure5.png.
     """
-    figure = Figure(figsize=(7.0, 4.2), dpi=120, layout="constrained")
+    figure = new_figure(7.0, 4.2)
     axes = figure.add_subplot()
     first = next(iter(ways.values()))
     trials = [score.trials for score in first[0].curve]
     for (name, runs), colour in zip(ways.items(), _colours(len(ways)), strict=True):
-        rates = np.array([[score.rate(criterion) for score in run.curve] for run in runs])  # (runs, epochs)
+        rates = np.array([[score.tally.rate(criterion) for score in run.curve] for run in runs])  # (runs, epochs)
         axes.fill_between(trials, rates.min(axis=0), rates.max(axis=0), color=colour, alpha=0.12, linewidth=0)
         axes.plot(trials, rates.mean(axis=0), color=colour, label=f"{name}: {rates[:, -1].mean():.2f} in the end")
         filled = [run.filled for run in runs if run.filled is not None]
@@ -39,7 +39,7 @@ def draw_epochs(ways: Mapping[str, Sequence[LearningRun]], criterion: str, title
     axes.set_ylabel(f"success rate ({criterion}) in {first[0].curve[0].contexts} fixed contexts")
     axes.grid(alpha=0.3)
     axes.legend(loc="lower right", title=f"mean and range of {len(first)} runs", fontsize="small")
-    figure.savefig(path)
+    save_figure(figure, path)
 
 
 def _colours(count: int) -> list[str]:

@@ -8,10 +8,10 @@ from typing import Any, Final, final
 from uuid import UUID
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from crkr.learner import Learner
 from crkr.protocol import Array, TaskSpec
+from crkr.sim_worker.figure import new_figure, save_figure
 
 __all__ = ["Moment", "draw_exploration", "explored"]
 
@@ -85,7 +85,7 @@ def _moment(learner: Learner, iterations: int) -> Moment:
 
 def draw_exploration(moments: list[Moment], path: Path) -> None:
     """Saves one panel a moment: the policy, its noise, and the trials with their costs as bars."""
-    figure = Figure(figsize=(4.0 * len(moments), 3.6), dpi=120, layout="constrained")
+    figure = new_figure(4.0 * len(moments), 3.6)
     panels = figure.subplots(1, len(moments), sharey=True, squeeze=False)[0]
     for panel, moment in zip(panels, moments, strict=True):
         low, high = moment.mean - moment.sigma, moment.mean + moment.sigma
@@ -103,4 +103,4 @@ def draw_exploration(moments: list[Moment], path: Path) -> None:
         panel.grid(alpha=0.3)
     panels[0].set_ylabel("goal")
     panels[0].legend(loc="upper left", fontsize="small")
-    figure.savefig(path)
+    save_figure(figure, path)

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 import typer
 
 from crkr.client.console import json_data, print_json, print_table, stderr, stdout
-from crkr.client.options import Json
+from crkr.client.options import Json, Overwrite
+from crkr.client.output_file import check_output, output_file
 
 if TYPE_CHECKING:
     from crkr.experiments.learning_run import LearningRun
@@ -34,26 +35,31 @@ _SELECTORS: Final = {
 }
 
 
-def figure3(out: Out = HERE) -> None:
+def figure3(out: Out = HERE, overwrite: Overwrite = False) -> None:
     """Draw the kernel: two widths, and their product.
 
     Example: crkr experiment figure3 --out figures
     """
     from crkr.experiments.kernel_figure import draw_kernel
 
-    draw_kernel(_file(out, "figure3.png"))
+    draw_kernel(_file(out, "figure3.png", overwrite))
     stderr.print(f"{out / 'figure3.png'}: the squared-exponential kernel with a length-scale a dimension")
 
 
-def figure4(out: Out = HERE, seed: Annotated[int, typer.Option(min=0, help="Of the states and draws.")] = 0) -> None:
+def figure4(
+    out: Out = HERE,
+    seed: Annotated[int, typer.Option(min=0, help="Of the states and draws.")] = 0,
+    overwrite: Overwrite = False,
+) -> None:
     """Draw how exploration narrows around what was found to be good.
 
     Example: crkr experiment figure4 --out figures
     """
     from crkr.experiments.exploration_figure import draw_exploration, explored
 
+    path = _file(out, "figure4.png", overwrite)
     moments = explored(seed)
-    draw_exploration(moments, _file(out, "figure4.png"))
+    draw_exploration(moments, path)
     stderr.print(f"{out / 'figure4.png'}: a demonstration and {moments[-1].iterations} trials")
 
 
@@ -65,6 +71,7 @@ def figure5(
     budget: Annotated[int, typer.Option(min=1, max=1000, help="Samples that a prediction may use.")] = 250,
     balls: Balls = 200,
     jobs: Jobs = 2,
+    overwrite: Overwrite = False,
     json: Json = False,
 ) -> None:
     """Learn on past the budget, beside learners that stop at it or know none.
@@ -76,7 +83,7 @@ def figure5(
     """
     settings = {label.format(budget=budget): {"selector": name, "budget": budget} for name, label in _SELECTORS.items()}
     title = f"Analytic table tennis: learning past a budget of {budget}"
-    _epochs("figure5", "analytic", settings, title, out, (seeds, first_seed, trials, balls, jobs), json)
+    _epochs("figure5", "analytic", settings, title, out, overwrite, (seeds, first_seed, trials, balls, jobs), json)
 
 
 def figure7(
@@ -87,6 +94,7 @@ def figure7(
     tradeoffs: Annotated[str, typer.Option("--lambda", help="Values to compare, with commas.")] = "0.1,1,10",
     balls: Balls = 200,
     jobs: Jobs = 2,
+    overwrite: Overwrite = False,
     json: Json = False,
 ) -> None:
     """Learn in simulated contact for several exploration-exploitation trade-offs lambda.
@@ -101,7 +109,7 @@ def figure7(
         raise Invalid(f"--lambda takes numbers with commas between, e.g. 0.1,1,10; got {tradeoffs!r}") from error
     settings = {f"lambda {value:g}": {"regularisation": value} for value in values}
     title = "Simulated table tennis: the trade-off lambda"
-    _epochs("figure7", "contact", settings, title, out, (seeds, first_seed, trials, balls, jobs), json)
+    _epochs("figure7", "contact", settings, title, out, overwrite, (seeds, first_seed, trials, balls, jobs), json)
 
 
 def policy(
@@ -111,6 +119,7 @@ def policy(
     trials: Trials = 1500,
     preset: Annotated[str | None, typer.Option(help="Which settings, e.g. paper.")] = None,
     environment: Annotated[str | None, typer.Option(help="Which simulator, e.g. analytic.")] = None,
+    overwrite: Overwrite = False,
 ) -> None:
     """Learn once, and draw what the policy does with the paddle while one coordinate varies.
 
@@ -122,12 +131,13 @@ def policy(
     from crkr.sim_worker.skills import load_skill
     from crkr.sim_worker.table_tennis.policy_figure import draw_policy, varied
 
+    path = _file(out, "policy.png", overwrite)
     skill = load_skill("table-tennis", SkillOptions(environment=environment, preset=preset))
     with Progress(stderr, "learning", trials, "trials") as progress:
         learner = taught(skill, Course(trials, 0, _JUDGE, _DEMONSTRATIONS), seed, progress.show)
     index, states = varied(learner.spec, vary, 31, None)
     answer = learner.predict(states)
-    draw_policy(learner.spec, index, states, answer.goals, answer.novelty, _file(out, "policy.png"))
+    draw_policy(learner.spec, index, states, answer.goals, answer.novelty, path)
     stderr.print(f"{out / 'policy.png'}: after {trials} trials")
 
 
@@ -137,6 +147,7 @@ def _epochs(
     settings: dict[str, dict[str, Any]],
     title: str,
     out: Path,
+    overwrite: bool,
     size: tuple[int, int, int, int, int],
     as_json: bool,
 ) -> None:
@@ -154,13 +165,13 @@ def _epochs(
     }
     options = SkillOptions(environment=environment, preset="paper")
     parts = [(course, seed) for course in courses.values() for seed in chosen]
-    path = _file(out, f"{name}.png")
+    path, numbers = _file(out, f"{name}.png", overwrite), _file(out, f"{name}.json", overwrite)
     runs = learn_many("table-tennis", options, parts, jobs)
     ways = {label: runs[seeds * place : seeds * (place + 1)] for place, label in enumerate(courses)}
     draw_epochs(ways, _CRITERION, title, path)
     summaries = _summaries(ways)
     result = {"figure": name, "options": options, "trials": trials, "ways": summaries}
-    _save(path.with_suffix(".json"), result)
+    _save(numbers, result)
     if as_json:
         print_json(result)
         return
@@ -177,7 +188,7 @@ def _summaries(ways: dict[str, list[LearningRun]]) -> dict[str, dict[str, Any]]:
 
     found = {}
     for label, runs in ways.items():
-        rates = [run.final.rate(_CRITERION) for run in runs]
+        rates = [run.final.tally.rate(_CRITERION) for run in runs]
         filled = [run.filled for run in runs if run.filled is not None]
         found[label] = {
             "mean": float(np.mean(rates)),
@@ -188,20 +199,22 @@ def _summaries(ways: dict[str, list[LearningRun]]) -> dict[str, dict[str, Any]]:
             "final": rates,
             "curve": {
                 "trials": [score.trials for score in runs[0].curve],
-                "rates": [[score.rate(_CRITERION) for score in run.curve] for run in runs],
+                "rates": [[score.tally.rate(_CRITERION) for score in run.curve] for run in runs],
             },
             "digests": [run.digest for run in runs],
         }
     return found
 
 
-def _file(out: Path, name: str) -> Path:
-    """Before the work: a directory that cannot be made should not be found out after it."""
+def _file(out: Path, name: str, overwrite: bool) -> Path:
+    """Before the work: what cannot be written, or is there already, should not be found out after it."""
     out.mkdir(parents=True, exist_ok=True)
+    check_output(out / name, overwrite=overwrite)
     return out / name
 
 
 def _save(path: Path, result: dict[str, Any]) -> None:
     import json as json_format
 
-    path.write_text(json_format.dumps(json_data(result), indent=1) + "\n", encoding="utf-8")
+    with output_file(path) as partial:
+        partial.write_text(json_format.dumps(json_data(result), indent=1) + "\n", encoding="utf-8")

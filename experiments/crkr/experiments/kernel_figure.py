@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from crkr.learner import Kernel
+from crkr.sim_worker.figure import new_figure, save_figure
 
 __all__ = ["draw_kernel"]
 
@@ -19,7 +19,7 @@ POINTS: Final = 121
 
 def draw_kernel(path: Path) -> None:
     """Saves the covariance of good goals between the state (0, 0) and those around it."""
-    figure = Figure(figsize=(10.0, 3.4), dpi=120, layout="constrained")
+    figure = new_figure(10.0, 3.4)
     single, double = figure.subplots(1, 2)
     offsets = np.linspace(-REACH, REACH, POINTS)
     for lengthscale, colour in zip(LENGTHSCALES, ("#0072b2", "#d55e00"), strict=True):
@@ -40,7 +40,7 @@ def draw_kernel(path: Path) -> None:
         title="both: their product",
         aspect="equal",
     )
-    figure.savefig(path)
+    save_figure(figure, path)
 
 
 def _row(kernel: Kernel, states: np.ndarray) -> np.ndarray:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
 from crkr.client.console import json_data, print_json, print_table, stderr, stdout
-from crkr.client.options import Json
+from crkr.client.options import Json, Overwrite
+from crkr.client.output_file import check_output, output_file
 
 if TYPE_CHECKING:
     from crkr.experiments.learning_run import Course, LearningRun
@@ -16,6 +17,8 @@ if TYPE_CHECKING:
     from crkr.sim_worker.skill import SkillOptions
 
 __all__ = ["learning"]
+
+_FILES: Final = ("learning.json", "learning.png")
 
 
 def learning(
@@ -32,6 +35,7 @@ def learning(
     oracle: Annotated[bool, typer.Option(help="Play the same contexts by the skill's planner.")] = True,
     jobs: Annotated[int, typer.Option(min=1, max=256, help="Processes.")] = 2,
     out: Annotated[Path | None, typer.Option(file_okay=False, help="Save learning.png and learning.json here.")] = None,
+    overwrite: Overwrite = False,
     json: Json = False,
 ) -> None:
     """Learn a skill again and again, each time with other seeds, and judge.
@@ -45,6 +49,10 @@ def learning(
     from crkr.experiments.many_runs import learn_many
     from crkr.sim_worker.skill import SkillOptions
 
+    if out is not None:  # before the work
+        out.mkdir(parents=True, exist_ok=True)
+        for name in _FILES:
+            check_output(out / name, overwrite=overwrite)
     options = SkillOptions(environment=environment, launcher=launcher, preset=preset)
     course = Course(trials, balls, judge, demonstrations, MARKS if out is not None else ())
     runs = learn_many(skill, options, [(course, seed) for seed in range(first_seed, first_seed + seeds)], jobs)
@@ -68,7 +76,7 @@ def _planner(skill: str, options: SkillOptions, course: Course, jobs: int) -> di
         return {}
     with Progress(stderr, "planning", course.contexts, "contexts") as progress:
         won = play_oracle(skill, options, course.contexts, course.judge, jobs=jobs, show=progress.show)
-    return {name: count / course.contexts for name, count in won.items()}
+    return won.rates()
 
 
 def _result(
@@ -76,12 +84,13 @@ def _result(
 ) -> dict[str, Any]:
     from crkr.experiments.learning_summary import summarise
 
+    criteria = dict.fromkeys(name for run in runs for name in run.final.tally.criteria)
     return {
         "skill": skill,
         "options": options,
         "course": course,
-        "summary": {name: summarise(runs, name, planner.get(name)) for name in runs[0].final.successes},
-        "runs": runs,
+        "summary": {name: summarise(runs, name, planner.get(name)) for name in criteria},
+        "runs": [run.to_dict() for run in runs],
     }
 
 
@@ -90,9 +99,10 @@ def _save(out: Path, result: dict[str, Any], runs: list[LearningRun], planner: d
 
     from crkr.experiments.learning_figure import draw_learning
 
-    out.mkdir(parents=True, exist_ok=True)
-    (out / "learning.json").write_text(json_format.dumps(json_data(result), indent=1) + "\n", encoding="utf-8")
-    draw_learning(runs, planner, _title(result), out / "learning.png")
+    numbers, figure = (out / name for name in _FILES)
+    with output_file(numbers) as partial:
+        partial.write_text(json_format.dumps(json_data(result), indent=1) + "\n", encoding="utf-8")
+    draw_learning(runs, planner, _title(result), figure)
 
 
 def _title(result: dict[str, Any]) -> str:

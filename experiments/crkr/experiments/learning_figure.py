@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from crkr.experiments.learning_run import LearningRun
+from crkr.sim_worker.figure import new_figure, save_figure
 
 __all__ = ["draw_learning"]
 
@@ -27,13 +27,13 @@ def draw_learning(runs: Sequence[LearningRun], oracle: Mapping[str, float], titl
         title: Of the figure.
         path: E.g. learning.png.
     """
-    figure = Figure(figsize=(7.0, 4.2), dpi=120, layout="constrained")
+    figure = new_figure(7.0, 4.2)
     axes = figure.add_subplot()
     shown: list[tuple[Any, str]] = []
     trials = [score.trials for score in runs[0].curve]
-    for index, criterion in enumerate(runs[0].final.successes):
+    for index, criterion in enumerate(runs[0].final.tally.criteria):
         colour = COLOURS[index % len(COLOURS)]
-        rates = np.array([[score.rate(criterion) for score in run.curve] for run in runs])  # (runs, points)
+        rates = np.array([[score.tally.rate(criterion) for score in run.curve] for run in runs])  # (runs, points)
         what = f"{criterion}: mean and range of {len(runs)} runs" if len(runs) > 1 else f"{criterion}: one run"
         band = axes.fill_between(trials, rates.min(axis=0), rates.max(axis=0), color=colour, alpha=0.2, linewidth=0)
         (line,) = axes.plot(trials, rates.mean(axis=0), color=colour, marker=".")
@@ -52,7 +52,7 @@ def draw_learning(runs: Sequence[LearningRun], oracle: Mapping[str, float], titl
     axes.set(xlabel=f"training trials, logarithmic from {EARLY}", xlim=(0, trials[-1]))
     axes.grid(alpha=0.3)
     axes.legend(*zip(*shown, strict=True), loc="lower right")
-    figure.savefig(path)
+    save_figure(figure, path)
 
 
 def _apart(trials: Sequence[int]) -> list[int]:

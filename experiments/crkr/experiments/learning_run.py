@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from hashlib import sha256
 from typing import Any, Final, Protocol, final
 from uuid import UUID
 
 import numpy as np
 
-from crkr.client.evaluations import success_by_criterion
+from crkr.client.tally import Tally, success_by_criterion
 from crkr.learner import Learner
 from crkr.protocol import TaskSpec, training_id
 from crkr.sim_worker.randomness import demonstration_rng, evaluation_rng, fresh_rng, training_rng
@@ -54,19 +54,23 @@ class Score:
 
     Attributes:
         trials: Training trials that it had learned from.
-        contexts: How many were played.
-        successes: By criterion.
+        tally: The contexts that were played.
         reasons: How they ended, by the skill's words.
     """
 
     trials: int
-    contexts: int
-    successes: dict[str, int]
+    tally: Tally
     reasons: dict[str, int]
 
-    def rate(self, criterion: str) -> float:
-        """Share of successes."""
-        return self.successes[criterion] / self.contexts
+    @property
+    def contexts(self) -> int:
+        """How many were played."""
+        return self.tally.trials
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data for JSON."""
+        counts = {"judged": dict(self.tally.judged), "successes": dict(self.tally.successes)}
+        return {"trials": self.trials, "contexts": self.contexts, **counts, "reasons": self.reasons}
 
 
 @final
@@ -89,6 +93,11 @@ class LearningRun:
     training: dict[str, int]
     filled: int | None
     digest: str
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data for JSON."""
+        shallow = {entry.name: getattr(self, entry.name) for entry in fields(self)}
+        return {**shallow, "final": self.final.to_dict(), "curve": [score.to_dict() for score in self.curve]}
 
 
 class Digest(Protocol):
@@ -160,10 +169,10 @@ def _judge(
     skill: Skill, learner: Learner, trials: int, contexts: int, rng: Callable[[int], np.random.Generator]
 ) -> Score:
     goals = learner.predict(np.array([skill.reset(rng(ball)) for ball in range(contexts)])).goals
-    successes, reasons = Counter[str](), Counter[str]()
+    tally, reasons = Tally(), Counter[str]()
     for ball, goal in enumerate(goals):
         skill.reset(rng(ball))
         result = skill.execute(goal)
-        successes.update({name: int(won) for name, won in success_by_criterion(result.success, result.info).items()})
+        tally.add(success_by_criterion(result.success, result.info))
         reasons[str(result.info.get("reason", "success" if result.success else "failure"))] += 1
-    return Score(trials, contexts, dict(successes), dict(reasons.most_common()))
+    return Score(trials, tally, dict(reasons.most_common()))

@@ -35,10 +35,11 @@ class Summary:
 
 
 def summarise(runs: Sequence[LearningRun], criterion: str, oracle: float | None) -> Summary:
-    """The runs' final judgements by one criterion."""
-    rates = np.array([run.final.rate(criterion) for run in runs])
+    """The final judgements of all runs that were judged by a criterion, of which there must be one."""
+    judged = [run for run in runs if run.final.tally.judged[criterion]]
+    rates = np.array([run.final.tally.rate(criterion) for run in judged])
     last = int(np.argmin(rates))
-    return Summary(float(rates.mean()), mean_interval(rates), float(rates[last]), runs[last].seed, oracle)
+    return Summary(float(rates.mean()), mean_interval(rates), float(rates[last]), judged[last].seed, oracle)
 
 
 def mean_interval(rates: np.ndarray) -> tuple[float, float] | None:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from crkr.client.console import stderr
 from crkr.experiments.learning_run import Course, LearningRun, learn_once
+from crkr.sim_worker.guarded_skill import GuardedSkill
 from crkr.sim_worker.pool import spread
 from crkr.sim_worker.progress import Progress
 from crkr.sim_worker.skill import Skill, SkillOptions
@@ -19,11 +20,11 @@ def learn_many(skill: str, options: SkillOptions, parts: Sequence[tuple[Course, 
     with Progress(stderr, "learning", len(parts), "runs") as progress:
         for place, run in spread(skill, options, _learn, [(place, *part) for place, part in enumerate(parts)], jobs):
             runs[place] = run
-            rates = ", ".join(f"{name} {run.final.rate(name):.3f}" for name in run.final.successes)
+            rates = ", ".join(f"{name} {rate:.3f}" for name, rate in run.final.tally.rates().items())
             progress.show(len(runs), f"seed {run.seed}: {rates}", now=True)
     return [runs[place] for place in range(len(parts))]
 
 
 def _learn(skill: Skill, part: tuple[int, Course, int]) -> tuple[int, LearningRun]:
     place, course, seed = part
-    return place, learn_once(skill, course, seed)
+    return place, learn_once(GuardedSkill(skill), course, seed)

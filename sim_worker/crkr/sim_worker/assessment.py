@@ -11,10 +11,10 @@ from uuid import UUID
 import numpy as np
 
 from crkr.client import Task
-from crkr.client.evaluations import success_by_criterion
-from crkr.client.wilson import wilson_interval
+from crkr.client.tally import Tally, success_by_criterion
 from crkr.protocol import MAX_STATES, Invalid, Prediction, Trial, task_id
 from crkr.sim_worker.evaluation import COST_OF_NOTHING
+from crkr.sim_worker.guarded_skill import GuardedSkill, guarded_plan
 from crkr.sim_worker.oracle import Planner
 from crkr.sim_worker.pool import spread
 from crkr.sim_worker.randomness import fresh_rng
@@ -48,33 +48,29 @@ class Assessment:
     """Counts over the contexts played.
 
     Attributes:
-        balls: How many were played.
-        successes: By criterion.
+        policy: What was played.
         reasons: How trials ended, by the skill's words.
-        oracle: The planner's successes by criterion; empty where there is none.
+        oracle: The planner's plans for the same contexts; empty where there is no planner.
     """
 
-    balls: int = 0
-    successes: Counter[str] = field(default_factory=Counter)
+    policy: Tally = field(default_factory=Tally)
     reasons: Counter[str] = field(default_factory=Counter)
-    oracle: Counter[str] = field(default_factory=Counter)
+    oracle: Tally = field(default_factory=Tally)
 
     def add(self, played: Played) -> None:
         """Counts one context."""
-        self.balls += 1
-        for name, success in success_by_criterion(played.result.success, played.result.info).items():
-            self.successes[name] += success
+        self.policy.add(success_by_criterion(played.result.success, played.result.info))
         self.reasons[str(played.result.info.get("reason", "success" if played.result.success else "failure"))] += 1
-        for name, success in (played.oracle or {}).items():
-            self.oracle[name] += success
+        if played.oracle:
+            self.oracle.add(played.oracle)
 
     def to_dict(self) -> dict[str, Any]:
         """Rates, their 95 % intervals, reasons, and the planner's rates."""
         return {
-            **{name: count / self.balls for name, count in self.successes.items()},
-            "ci95": {name: list(wilson_interval(count, self.balls)) for name, count in self.successes.items()},
+            **self.policy.rates(),
+            "ci95": self.policy.intervals(),
             "reasons": dict(self.reasons.most_common()),
-            "oracle": {name: count / self.balls for name, count in self.oracle.items()} or None,
+            "oracle": self.oracle.rates() or None,
         }
 
 
@@ -131,11 +127,12 @@ class _Part:
 
 def _play_part(skill: Skill, part: _Part) -> list[Played]:
     planner = skill if part.oracle and isinstance(skill, Planner) else None
+    player = GuardedSkill(skill)
     played = []
     for ball, goal in enumerate(part.goals, part.start):
-        state = skill.reset(fresh_rng(part.seed, ball))
-        result = skill.execute(goal)
-        best = None if planner is None else dict(planner.best_plan(state))
+        state = player.reset(fresh_rng(part.seed, ball))
+        result = player.execute(goal)
+        best = None if planner is None else guarded_plan(planner, state)
         bare = Outcome(result.cost, result.success, result.executed, result.outcome, dict(result.info), None)
         played.append(Played(ball, bare, best))
     return played

@@ -6,7 +6,7 @@ from collections.abc import Collection
 from typing import final
 
 from crkr.client import Task
-from crkr.client.evaluations import stated_epoch
+from crkr.client.tally import stated_epoch
 from crkr.sim_worker.evaluation import EPOCH
 
 __all__ = ["EpochClock", "judged_epochs"]

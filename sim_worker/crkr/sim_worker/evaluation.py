@@ -7,7 +7,7 @@ from typing import final
 import numpy as np
 
 from crkr.client import Task
-from crkr.client.evaluations import success_by_criterion
+from crkr.client.tally import Tally, success_by_criterion
 from crkr.protocol import Prediction, Trial, evaluation_id
 from crkr.sim_worker.randomness import evaluation_rng
 from crkr.sim_worker.skill import Floats, Outcome, Skill
@@ -74,8 +74,10 @@ class Examination:
 
     def rates(self) -> dict[str, float]:
         """Success rate so far by criterion."""
-        marks = [success_by_criterion(trial.success, trial.info) for trial in self.trials]
-        return {name: float(np.mean([mark[name] for mark in marks])) for name in marks[0]} if marks else {}
+        tally = Tally()
+        for trial in self.trials:
+            tally.add(success_by_criterion(trial.success, trial.info))
+        return tally.rates()
 
     def play_next(self) -> None:
         """Plays the next context."""

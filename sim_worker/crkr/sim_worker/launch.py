@@ -10,6 +10,7 @@ from collections.abc import Callable
 from crkr.client import Client, Task
 from crkr.protocol import NoSamples, Unavailable
 from crkr.sim_worker.demonstrations import record_demonstrations
+from crkr.sim_worker.guarded_skill import GuardedSkill
 from crkr.sim_worker.joining import create_or_join
 from crkr.sim_worker.judging import JudgeSeat
 from crkr.sim_worker.launch_plan import LaunchPlan, LaunchReport
@@ -36,7 +37,7 @@ def launch(plan: LaunchPlan, say: Callable[[str], None], show: Callable[[int, st
     Raises:
         CrkrError: The skill is unknown, the server is away for longer than the patience, or the task is another one.
     """
-    skill = load_skill(plan.skill, plan.options)
+    skill = GuardedSkill(load_skill(plan.skill, plan.options))
     with Client(plan.endpoint, timeout_s=plan.timeout_s, zenoh_config=plan.zenoh_config) as client:
         _wait_for_server(client, plan.patience_s, say)
         task = create_or_join(client, skill.spec(), say, its_settings=plan.options.preset is None)

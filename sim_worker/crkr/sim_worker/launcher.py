@@ -198,7 +198,9 @@ class Launcher:
         left = f"{len(self._workers)} of {self._plan.workers} go on" if self._workers else "none is left"
         self._say(f"warning: {worker.name} (process {worker.process.pid}) {worker.ending()}; {left}")
         if not self._workers:
-            self._report.problem = "all workers are lost"
+            self._report.problem = "all workers are lost" + (
+                f"; the last one said: {worker.reason}" if worker.reason else ""
+            )
 
     def _remark(self) -> str:
         done, seconds = self._report.trials, time.monotonic() - self._started

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Mapping
 from typing import Final, Protocol, runtime_checkable
 
+from crkr.client.tally import Tally
 from crkr.protocol import Invalid
+from crkr.sim_worker.guarded_skill import GuardedSkill, guarded_plan
 from crkr.sim_worker.pool import spread
 from crkr.sim_worker.randomness import fresh_rng
 from crkr.sim_worker.skill import Floats, Skill, SkillOptions
@@ -28,8 +29,8 @@ class Planner(Protocol):
 
 def play_oracle(
     skill: str, options: SkillOptions, balls: int, seed: int, *, jobs: int, show: Callable[[int], None]
-) -> Counter[str]:
-    """Plans for the contexts that an evaluation with this seed plays, and counts successes by criterion.
+) -> Tally:
+    """Plans for the contexts that an evaluation with this seed plays, and tallies successes.
 
     Raises:
         Invalid: The skill has no planner.
@@ -38,13 +39,11 @@ def play_oracle(
     if not isinstance(load_skill(skill, options), Planner):
         raise Invalid(f"skill {skill!r} has no planner of its own (a method `best_plan`)")
     parts = [(seed, range(start, min(start + CHUNK, balls))) for start in range(0, balls, CHUNK)]
-    won: Counter[str] = Counter()
-    done = 0
+    won = Tally()
     for part in spread(skill, options, _plan, parts, jobs):
         for outcomes in part:
-            won.update({name: int(success) for name, success in outcomes.items()})
-            done += 1
-        show(done)
+            won.add(outcomes)
+        show(won.trials)
     return won
 
 
@@ -52,4 +51,5 @@ def _plan(skill: Skill, part: tuple[int, range]) -> list[dict[str, bool]]:
     if not isinstance(skill, Planner):
         raise Invalid("the skill has no planner of its own")
     seed, balls = part
-    return [dict(skill.best_plan(skill.reset(fresh_rng(seed, ball)))) for ball in balls]
+    player = GuardedSkill(skill)
+    return [guarded_plan(skill, player.reset(fresh_rng(seed, ball))) for ball in balls]

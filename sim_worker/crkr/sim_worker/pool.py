@@ -9,6 +9,7 @@ from multiprocessing import get_context
 from typing import TypeVar
 
 from crkr.protocol import CrkrError
+from crkr.sim_worker.guarded_skill import keep_standard_output
 from crkr.sim_worker.parent import end_with_parent
 from crkr.sim_worker.skill import Skill, SkillOptions
 from crkr.sim_worker.skills import load_skill
@@ -52,6 +53,7 @@ _skills: list[Skill] = []  # of a pool's process: made once
 
 def _prepare(name: str, options: SkillOptions) -> None:
     end_with_parent()
+    keep_standard_output()
     _skills.append(load_skill(name, options))
 
 

@@ -6,7 +6,7 @@ from collections import Counter
 from dataclasses import dataclass, field
 from typing import Any, final
 
-from crkr.client.evaluations import stated_epoch, success_by_criterion
+from crkr.client.tally import Tally, stated_epoch, success_by_criterion
 from crkr.protocol import StoredTrial, TaskSpec
 
 __all__ = ["EpochScore", "RunHistory"]
@@ -20,22 +20,21 @@ class EpochScore:
     Attributes:
         epoch: Which.
         trials: Training trials that were stored when the model was asked.
-        balls: Contexts played so far.
-        successes: By criterion.
+        tally: The contexts played so far.
     """
 
     epoch: int
     trials: int
-    balls: int = 0
-    successes: Counter[str] = field(default_factory=Counter)
+    tally: Tally = field(default_factory=Tally)
 
-    def rates(self) -> dict[str, float]:
-        """Success rate by criterion."""
-        return {name: count / self.balls for name, count in self.successes.items()}
+    @property
+    def balls(self) -> int:
+        """Contexts played so far."""
+        return self.tally.trials
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for JSON."""
-        return {"epoch": self.epoch, "trials": self.trials, **self.rates(), "balls": self.balls}
+        return {"epoch": self.epoch, "trials": self.trials, **self.tally.rates(), "balls": self.balls}
 
 
 @final
@@ -104,6 +103,4 @@ class RunHistory:
         if epoch is None:  # an evaluation that somebody recorded by hand
             return
         score = self._scores.setdefault(epoch, EpochScore(epoch, trained if type(trained) is int else 0))
-        score.balls += 1
-        for name, success in success_by_criterion(stored.trial.success, info).items():
-            score.successes[name] += success
+        score.tally.add(success_by_criterion(stored.trial.success, info))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -13,6 +14,8 @@ from crkr.client import Task
 from crkr.protocol import Geom, Invalid, Prediction, Trace, Trial, geoms_to_wire
 
 __all__ = ["Telemetry", "Timing", "thinned"]
+
+logger = logging.getLogger(__name__)
 
 TRACE_HZ: Final = 30.0
 SCENE_EVERY_S: Final = 2.0
@@ -103,13 +106,19 @@ class Telemetry:
 
     def _pictures(self, trace: Trace | None, now: float) -> dict[str, Any]:
         pictures: dict[str, Any] = {}
+        try:
+            self._draw(pictures, trace, now)
+        except (ValueError, IndexError, TypeError) as error:  # the arrays of a trace do not fit each other
+            logger.debug("a trial's trace cannot be drawn: %s", error)
+        return pictures
+
+    def _draw(self, pictures: dict[str, Any], trace: Trace | None, now: float) -> None:
         if trace is not None and now >= self._next_trace:
             self._next_trace = now + 1.0 / TRACE_HZ
             pictures["trace"] = thinned(trace).to_wire()
         if self._scene and now >= self._next_scene:
             self._next_scene = now + SCENE_EVERY_S
             pictures["scene"] = self._scene
-        return pictures
 
     def _publish(self, topic: str, message: Mapping[str, Any], pictures: Mapping[str, Any]) -> None:
         try:

@@ -13,6 +13,7 @@ from crkr.client import Client, Task
 from crkr.client.console import configure_logging
 from crkr.protocol import CrkrError
 from crkr.sim_worker.evaluator import Evaluator
+from crkr.sim_worker.guarded_skill import GuardedSkill, keep_standard_output
 from crkr.sim_worker.line import Line, LineClosed
 from crkr.sim_worker.orders import Orders, Stopped
 from crkr.sim_worker.parent import end_with_parent
@@ -65,10 +66,11 @@ class ProcessSettings:
 def run_worker(settings: ProcessSettings, connection: Connection) -> None:
     """Body of a worker process: serves its line until it is told to stop, and sees that the launcher learns its end."""
     end_with_parent()
+    keep_standard_output()
     configure_logging(settings.log_level)
     orders = Orders(Line(connection), settings.patience_s)
     try:
-        skill = load_skill(settings.skill, settings.options)
+        skill = GuardedSkill(load_skill(settings.skill, settings.options))
         with Client(settings.endpoint, timeout_s=settings.timeout_s, zenoh_config=settings.zenoh_config) as client:
             task = client.task(settings.task)
             with orders.insist(lambda: task.announce(settings.identity.worker)):

@@ -8,7 +8,7 @@ import pytest
 from crkr.dashboard import Progress, Row, Telemetry
 from crkr.dashboard.rerun_view import Recording
 from crkr.dashboard.rerun_view.colours import FAILURE, SUCCESS
-from crkr.dashboard.rerun_view.stage import ALONE_S, MAX_WORKERS, Stage
+from crkr.dashboard.rerun_view.stage import ALONE_S, MAX_BODIES, MAX_PATHS, MAX_SCENES, MAX_WORKERS, Stage
 from crkr.protocol import StoredTrial
 
 Make = Callable[..., StoredTrial]
@@ -18,8 +18,14 @@ Show = Callable[..., None]
 
 
 @pytest.fixture
-def stage(recording: Recording) -> Stage:
-    return Stage(recording)
+def said() -> list[str]:
+    """What the stage says that it does not show."""
+    return []
+
+
+@pytest.fixture
+def stage(recording: Recording, said: list[str]) -> Stage:
+    return Stage(recording, said.append)
 
 
 @pytest.fixture
@@ -186,3 +192,44 @@ def test_there_is_a_camera_before_there_is_anything_to_see(
     del stage  # made, and told nothing
     assert recording.close(5.0)
     assert "/eye" in read(file)
+
+
+def test_names_that_change_with_every_message_do_not_grow_the_recording(
+    stage: Stage,
+    show: Show,
+    message: Message,
+    said: list[str],
+    recording: Recording,
+    file: Path,
+    read: Read,
+) -> None:
+    """Paths, bodies and shapes: the first names of each kind stay, and what is not shown is told once."""
+    plain = message(1)
+    for seq in range(1, 2 * MAX_BODIES[0]):
+        path = plain["trace"]["paths"]["load"]
+        trace = plain["trace"] | {"bodies": [f"a{seq}", f"b{seq}"], "paths": {f"p{seq}": path, f"q{seq}": path}}
+        show(seq, trace=trace, scene=[{**geom, "body": f"{geom['body']}{seq}"} for geom in plain["scene"]])
+        stage.tick(10.0 * seq)
+        stage.tick(10.0 * seq + 5.0)
+    assert recording.close(5.0)
+    content = read(file)
+    assert sum(path.startswith("/world/crane-1/paths/") for path in content) == MAX_PATHS[0]
+    assert sum(path.startswith("/world/crane-1/shapes/") for path in content) <= MAX_BODIES[0]
+    frames = set(values(content["/world/crane-1/motion"], "Transform3D:child_frame"))
+    assert len(frames) <= MAX_BODIES[0] + MAX_PATHS[0]
+    assert len(said) == 3
+    assert [word for word in ("bodies", "paths", "shapes") if not any(word in line for line in said)] == []
+
+
+def test_a_worker_has_its_shapes_drawn_anew_a_few_times_only(
+    stage: Stage, show: Show, message: Message, said: list[str], recording: Recording, file: Path, read: Read
+) -> None:
+    scene = message(1)["scene"]
+    for seq in range(1, 3 * MAX_SCENES):
+        show(seq, scene=[{**geom, "size": [0.1 + 0.01 * seq, 0.1, 0.1]} for geom in scene])
+    assert recording.close(5.0)
+    drawn = values(read(file)["/world/crane-1/shapes/hook/sphere"], "Ellipsoids3D:half_sizes")
+    np.testing.assert_allclose(
+        [size[0] for size in drawn], [0.1 + 0.01 * (1 + n) for n in range(MAX_SCENES)], rtol=1e-6
+    )
+    assert len(said) == 1

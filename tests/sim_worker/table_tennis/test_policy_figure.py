@@ -51,6 +51,10 @@ def test_the_command_draws_a_live_tasks_policy(
     drawn = imread(picture)[..., :3]
     assert drawn.shape[0] > 400
     assert drawn.std() > 0.05
-    status, _, log = start_command(*words[:4], "spin", *words[5:]).finish()
+    before = picture.read_bytes()
+    status, _, log = start_command(*words).finish()
+    assert (status, log) == (1, f"error: {picture} exists; choose another file, or --overwrite\n")
+    assert picture.read_bytes() == before
+    status, _, log = start_command(*words[:4], "spin", *words[5:], "--overwrite").finish()
     assert status != 0
     assert "there are ball_x" in log

@@ -9,7 +9,7 @@ from matplotlib.image import imread
 
 from crkr.protocol import Invalid
 from crkr.sim_worker.skill import SkillOptions
-from crkr.sim_worker.table_tennis.render_trial import check_output, planned, render_trial
+from crkr.sim_worker.table_tennis.render_trial import check_kind, planned, render_trial
 from crkr.sim_worker.table_tennis.rendering import Artist, save_picture
 from crkr.sim_worker.table_tennis.simulation import Simulation
 from crkr.sim_worker.table_tennis.table_tennis import TableTennis
@@ -112,7 +112,7 @@ def test_what_cannot_be_saved_is_refused_before_anything_is_drawn(
     tmp_path: Path, name: str, sequence: bool, slow: float, complaint: str
 ) -> None:
     with pytest.raises(Invalid, match=complaint):
-        check_output(tmp_path / name, sequence=sequence, slow=slow)
+        check_kind(tmp_path / name, sequence=sequence, slow=slow)
 
 
 def test_a_refused_goal_has_no_film(skill: TableTennis, tmp_path: Path) -> None:

@@ -10,7 +10,8 @@ import typer
 from crkr.client import Client
 from crkr.client.commands.counting import counting
 from crkr.client.console import print_json, stdout
-from crkr.client.options import Connect, Json, Timeout, ZenohConfig
+from crkr.client.options import Connect, Json, Overwrite, Timeout, ZenohConfig
+from crkr.client.output_file import check_output
 
 __all__ = ["export"]
 
@@ -20,7 +21,7 @@ _PAGE: Final = 5000  # trials asked for, and written, together
 def export(
     task: Annotated[str, typer.Argument(help="Name of the task.")],
     file: Annotated[Path, typer.Argument(dir_okay=False, help="Where to; .parquet, .csv or .npz says as what.")],
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Also where there is such a file already.")] = False,
+    overwrite: Overwrite = False,
     connect: Connect = None,
     timeout: Timeout = 10.0,
     zenoh_config: ZenohConfig = None,
@@ -32,10 +33,10 @@ def export(
 
     Settings and fitted numbers are not in it: for a copy of everything, take `crkr backup`.
     """
-    from crkr.client.trial_files import Layout, check_free, check_kind, writing
+    from crkr.client.trial_files import Layout, check_kind, writing
 
     check_kind(file)
-    check_free(file, overwrite=overwrite)
+    check_output(file, overwrite=overwrite)
     with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
         handle = client.task(task)
         layout, total = Layout(handle.spec), sum(handle.status()["samples"].values())

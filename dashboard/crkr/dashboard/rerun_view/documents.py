@@ -46,7 +46,7 @@ def status_page(
         "",
     ]
     if newest is not None:
-        rates = ", ".join(f"{_plain(name)} **{percent(newest.rate(name))}**" for name in newest.judged)
+        rates = ", ".join(f"{_plain(name)} **{percent(rate)}**" for name, rate in newest.tally.rates().items())
         lines += [f"Evaluation {newest.epoch} ({newest.balls} trials): {rates}", ""]
     lines += [
         f"Active set **{_number(status.get('active'))}** of {_number(status.get('eligible'))} eligible samples; "

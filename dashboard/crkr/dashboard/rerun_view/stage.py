@@ -15,12 +15,14 @@ played in the world of the first worker that tries: who records them often does 
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from typing import Any, Final, final
 
 import numpy as np
 import rerun as rr
 
+from crkr.dashboard.names import Names
 from crkr.dashboard.progress import Row
 from crkr.dashboard.rerun_view.blueprint import EYE
 from crkr.dashboard.rerun_view.colours import FAILURE, SUCCESS
@@ -33,6 +35,9 @@ from crkr.protocol import Geom, Trace
 __all__ = ["Stage"]
 
 MAX_WORKERS: Final = 64
+MAX_BODIES: Final = (128, 1024)  # of a worker, and of all
+MAX_PATHS: Final = (16, 256)
+MAX_SCENES: Final = 8  # of a worker: what stands still is kept for ever by a recording
 PATH_RADIUS: Final = -0.6  # negative: Rerun's points on the screen, whatever the distance
 MAX_EARLY: Final = 16
 ALONE_S: Final = 15.0
@@ -48,6 +53,7 @@ class _World:
     name: str
     index: int
     scene: tuple[Geom, ...] = ()
+    scenes: int = 0
     markers: set[str] = field(default_factory=set)
     waiting: tuple[Row, Trace] | None = None
     playing: tuple[Row, Trace] | None = None
@@ -62,10 +68,15 @@ class Stage:
 
     Args:
         recording: Where to.
+        say: Told of what there is no place for.
     """
 
-    def __init__(self, recording: Recording) -> None:
+    def __init__(self, recording: Recording, say: Callable[[str], object]) -> None:
         self._recording = recording
+        self._say = say
+        self._bodies = Names("bodies", *MAX_BODIES, say)
+        self._paths = Names("paths", *MAX_PATHS, say)
+        self._crowded = self._changing = False  # what was told
         self._worlds: dict[str, _World] = {}
         self._early: deque[tuple[Row, Telemetry]] = deque(maxlen=MAX_EARLY)
         self._alone_until: float | None = None
@@ -84,18 +95,46 @@ class Stage:
         if world is None:
             return
         if telemetry.scene is not None and telemetry.scene != world.scene:
-            self._draw_scene(world, telemetry.scene)
+            self._change_scene(world, telemetry.scene)
         if telemetry.trace is not None:
-            world.waiting = (row, telemetry.trace)
-            for name, path in telemetry.trace.paths.items():
+            trace = self._known_part(world, telemetry.trace)
+            world.waiting = (row, trace)
+            for name, path in trace.paths.items():
                 world.paths.setdefault(name, []).append((row, path))
+
+    def _known_part(self, world: _World, trace: Trace) -> Trace:
+        """A trace with the bodies and paths that there is a place for."""
+        kept = [index for index, name in enumerate(trace.bodies) if self._bodies.has_place(name, world.name)]
+        paths = {name: path for name, path in trace.paths.items() if self._paths.has_place(name, world.name)}
+        if len(kept) == len(trace.bodies) and len(paths) == len(trace.paths):
+            return trace
+        return replace(
+            trace,
+            bodies=tuple(trace.bodies[index] for index in kept),
+            positions=trace.positions[:, kept],
+            quaternions=trace.quaternions[:, kept],
+            paths=paths,
+        )
+
+    def _change_scene(self, world: _World, scene: tuple[Geom, ...]) -> None:
+        world.scenes += 1
+        if world.scenes <= MAX_SCENES:
+            self._draw_scene(world, scene)
+        elif not self._changing:
+            self._changing = True
+            self._say(f"the shapes of {world.name} change again and again; later ones are not shown")
 
     def tick(self, now: float) -> None:
         """Draws the new paths and moves the robots to where they were at `now`, monotonic [s]."""
         self._show_demonstrations(now)
         for world in self._worlds.values():
-            self._play(world, now)
-            self._draw_paths(world)
+            try:
+                self._play(world, now)
+                self._draw_paths(world)
+            except Exception:
+                world.playing = world.waiting = None  # or it would fail at each tick
+                world.paths.clear()
+                raise
 
     def _show_demonstrations(self, now: float) -> None:
         """In the first worker's world, or in one of their own if nobody tries for a while."""
@@ -114,6 +153,9 @@ class Stage:
             self._worlds[worker] = world
             self._place(world)
             self._look()
+        if worker not in self._worlds and not self._crowded:
+            self._crowded = True
+            self._say(f"more workers than are shown: at most {MAX_WORKERS}")
         return self._worlds.get(worker)
 
     def _look(self) -> None:
@@ -138,12 +180,13 @@ class Stage:
     def _draw_scene(self, world: _World, scene: tuple[Geom, ...]) -> None:
         first = not any(other.scene for other in self._worlds.values())
         world.scene = scene
-        if first:
-            self._bounds = bounds(scene)
+        shown = [geom for geom in scene if geom.body == "world" or self._bodies.has_place(geom.body, world.name)]
+        if first and shown:
+            self._bounds = bounds(shown)
             for other in self._worlds.values():
                 self._place(other)
             self._look()
-        for body, kind, archetype in shapes_by_body(scene):
+        for body, kind, archetype in shapes_by_body(shown):
             frame = world.name if body == "world" else f"{world.name}/{body}"
             self._recording.fixed(["world", world.name, "shapes", body, kind], archetype, rr.CoordinateFrame(frame))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -48,6 +49,7 @@ def evaluate(
 
     from crkr.client import Client
     from crkr.sim_worker import assessment
+    from crkr.sim_worker.guarded_skill import GuardedSkill
     from crkr.sim_worker.progress import Progress
     from crkr.sim_worker.skill import SkillOptions, options_in_force
     from crkr.sim_worker.skills import load_skill
@@ -58,7 +60,7 @@ def evaluate(
     chosen = options_in_force(player, options)
     with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
         judged = client.task(task)
-        answers = assessment.ask(judged, player, balls, seed)
+        answers = assessment.ask(judged, GuardedSkill(player), balls, seed)
         goals = np.concatenate([answer.goals for answer in answers])
         with Progress(stderr, "evaluating", balls, "contexts") as progress:
             played = assessment.play(
@@ -84,7 +86,7 @@ def evaluate(
     if json:
         print_json(result)
     else:
-        _print(result, list(score.successes))
+        _print(result, score.policy.criteria)
 
 
 def _before(task: Task) -> dict[str, Any] | None:
@@ -97,10 +99,10 @@ def _before(task: Task) -> dict[str, Any] | None:
         if history.trained > EARLY:
             break
     first = next((score for score in history.epochs if score.epoch == 0), None)
-    return None if first is None else {**first.rates(), "balls": first.balls}
+    return None if first is None else {**first.tally.rates(), "balls": first.balls}
 
 
-def _print(result: dict[str, Any], names: list[str]) -> None:
+def _print(result: dict[str, Any], names: Sequence[str]) -> None:
     stdout.print(f"{result['task']}: {result['balls']} fresh contexts, seed {result['seed']}")
     before, planner = result["before_learning"] or {}, result["oracle"] or {}
     for name in names:

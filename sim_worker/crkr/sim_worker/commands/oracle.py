@@ -28,7 +28,6 @@ def oracle(
 
     Example: crkr oracle --launcher wide --balls 200 --seed 7
     """
-    from crkr.client.wilson import wilson_interval
     from crkr.sim_worker.oracle import play_oracle
     from crkr.sim_worker.progress import Progress
     from crkr.sim_worker.skill import SkillOptions
@@ -37,8 +36,8 @@ def oracle(
     with Progress(stderr, "planning", balls, "contexts") as progress:
         won = play_oracle(skill, options, balls, seed, jobs=jobs, show=progress.show)
     result = {
-        **{name: count / balls for name, count in won.items()},
-        "ci95": {name: list(wilson_interval(count, balls)) for name, count in won.items()},
+        **won.rates(),
+        "ci95": won.intervals(),
         "balls": balls,
         "seed": seed,
         "launcher": launcher,
@@ -48,6 +47,5 @@ def oracle(
         print_json(result)
         return
     stdout.print(f"{skill}, launcher {launcher}: {balls} contexts, seed {seed}")
-    for name, count in won.items():
-        low, high = wilson_interval(count, balls)
-        stdout.print(f"  {name:<10} {count / balls:.1%}  (95 %: {low:.1%} to {high:.1%})")
+    for name, (low, high) in won.intervals().items():
+        stdout.print(f"  {name:<10} {won.rate(name):.1%}  (95 %: {low:.1%} to {high:.1%})")

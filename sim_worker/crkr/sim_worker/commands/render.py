@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from crkr.client.console import stderr
-from crkr.client.options import Connect, Timeout, ZenohConfig
+from crkr.client.options import Connect, Overwrite, Timeout, ZenohConfig
 
 if TYPE_CHECKING:
     from crkr.client import Task
@@ -31,6 +31,7 @@ def render(
     slow: Annotated[
         float, typer.Option(min=1.0, max=100.0, help="How many times slower than life a .mp4 or .gif runs.")
     ] = 1.0,
+    overwrite: Overwrite = False,
     connect: Connect = None,
     timeout: Timeout = 5.0,
     zenoh_config: ZenohConfig = None,
@@ -48,6 +49,7 @@ def render(
     from crkr.client import Client
     from crkr.client.commands.vectors import parse_ids
     from crkr.client.guard import require
+    from crkr.client.output_file import check_output
     from crkr.sim_worker.skill import SkillOptions
 
     if trial is not None and (launcher is not None or seed or ball):
@@ -56,10 +58,11 @@ def render(
     if out.suffix == ".mp4":
         require("av")
 
-    from crkr.sim_worker.table_tennis.render_trial import check_output, planned, render_trial
+    from crkr.sim_worker.table_tennis.render_trial import check_kind, planned, render_trial
     from crkr.sim_worker.table_tennis.stored_trial import compared, stored_trial
 
-    check_output(out, sequence=sequence, slow=slow)
+    check_kind(out, sequence=sequence, slow=slow)
+    check_output(out, overwrite=overwrite)
     player = _player(skill, SkillOptions(environment=environment, launcher=launcher))
     if task is None and wanted is None:
         outcome = render_trial(player, *planned(player, seed, ball), out, sequence=sequence, slow=slow)

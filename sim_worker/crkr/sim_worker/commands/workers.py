@@ -13,7 +13,9 @@ from crkr.client.options import Connect, Json, LogLevel, Timeout, ZenohConfig
 
 __all__ = ["workers"]
 
-Skill = Annotated[str, typer.Argument(help="An installed skill, or your own as package.module:factory.")]
+Skill = Annotated[
+    str, typer.Argument(help="An installed skill, or your own as package.module:factory or path/to/file.py:factory.")
+]
 Workers = Annotated[int, typer.Option("-n", "--workers", min=1, max=256, help="Training processes.")]
 TaskName = Annotated[str | None, typer.Option("--task", help="Name of the task; the skill's own unless given.")]
 Trials = Annotated[

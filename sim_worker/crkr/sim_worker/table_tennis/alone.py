@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from typing import Any, Final, NamedTuple, final
 
-import mujoco
 import numpy as np
-from mujoco.rollout import Rollout
 from numpy.typing import NDArray
 
+from crkr.sim_worker.table_tennis.engine import Rollout, mujoco
 from crkr.sim_worker.table_tennis.simulation import Gains, check_sound, load_spec, rotated
 
 __all__ = ["ArmAlone", "ArmRecording", "BallAlone"]

@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from crkr.client.output_file import output_file
 from crkr.protocol import Invalid
 
 __all__ = ["FILMS", "Picture", "save_film"]
@@ -25,7 +26,7 @@ def save_film(frames: Iterable[Picture], path: Path, rate: int) -> None:
 
     Args:
         frames: All of one size; for an .mp4 both sides are even.
-        path: Where to; an existing file is replaced.
+        path: Where to; an existing file is replaced when the film is whole.
         rate: Frames a second; a .gif counts in hundredths of a second.
 
     Raises:
@@ -38,10 +39,9 @@ def save_film(frames: Iterable[Picture], path: Path, rate: int) -> None:
     first = next(shown, None)
     if first is None:
         raise Invalid(f"{path.name}: there are no frames to save")
-    if path.suffix == ".mp4":
-        _save_mp4(first, shown, path, rate)
-    else:
-        _save_gif(first, shown, path, rate)
+    save = _save_mp4 if path.suffix == ".mp4" else _save_gif
+    with output_file(path) as partial:
+        save(first, shown, partial, rate)
 
 
 def _save_mp4(first: Picture, others: Iterable[Picture], path: Path, rate: int) -> None:

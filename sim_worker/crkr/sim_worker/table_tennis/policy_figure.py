@@ -64,10 +64,10 @@ class _Hits:
 
 def draw_policy(spec: TaskSpec, index: int, states: Floats, goals: Floats, novelty: Floats, path: Path) -> None:
     """Saves the figure; goals (n, 13) and novelty (n,) answer `states` (n, d), which differ in coordinate `index`."""
-    from matplotlib.figure import Figure
+    from crkr.sim_worker.figure import new_figure, save_figure
 
     hits, axis, values = _Hits(goals), spec.state[index], states[:, index]
-    figure = Figure(figsize=(10.0, 6.4), dpi=110, layout="constrained")
+    figure = new_figure(10.0, 6.4, dpi=110)
     above, side, time, unsure = figure.subplots(2, 2).ravel()
     for axes, vertical, label in ((above, 1, "y [m]"), (side, 2, "z [m]")):
         shown = _paddles(axes, hits, values, vertical)
@@ -83,7 +83,7 @@ def draw_policy(spec: TaskSpec, index: int, states: Floats, goals: Floats, novel
     for axes in (above, side, time, unsure):
         axes.grid(alpha=0.3)
     figure.suptitle(f"{spec.name}: policy over {axis.name}")
-    figure.savefig(path)
+    save_figure(figure, path)
 
 
 def _paddles(axes: Any, hits: _Hits, values: Floats, vertical: int) -> Any:

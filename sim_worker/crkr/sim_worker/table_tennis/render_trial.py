@@ -16,7 +16,7 @@ from crkr.sim_worker.table_tennis.rendering import Artist, save_picture, save_se
 from crkr.sim_worker.table_tennis.simulation import Simulation
 from crkr.sim_worker.table_tennis.table_tennis import TableTennis
 
-__all__ = ["check_output", "planned", "render_trial"]
+__all__ = ["check_kind", "planned", "render_trial"]
 
 Floats = NDArray[np.float64]
 
@@ -24,7 +24,7 @@ PICTURE_INTERVAL: Final = 0.01  # between points of the ball's path in a picture
 RATE: Final = 25  # frames a second: a GIF, which counts in hundredths of a second, can keep it
 
 
-def check_output(path: Path, *, sequence: bool = False, slow: float = 1.0) -> None:
+def check_kind(path: Path, *, sequence: bool = False, slow: float = 1.0) -> None:
     """Raises `Invalid` now rather than after the drawing if nothing could be saved at `path`."""
     if sequence and path.suffix != ".png":
         raise Invalid(f"a sequence of moments is a .png; got {path.name}")
@@ -80,7 +80,7 @@ def render_trial(
         Unsupported: This machine cannot render.
         ModuleNotFoundError: PyAV is not installed, for an .mp4.
     """
-    check_output(path, sequence=sequence, slow=slow)
+    check_kind(path, sequence=sequence, slow=slow)
     motion = skill.film(state, goal, PICTURE_INTERVAL if path.suffix == ".png" else 1 / (RATE * slow))
     outcome = skill.attempt(state, goal)
     if motion is None:

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import os
-import sys
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self, final
 
-import mujoco
 import numpy as np
-from mujoco.rendering.classic import gl_context
 
-from crkr.protocol import Invalid, Unsupported
+from crkr.client.output_file import output_file
+from crkr.protocol import Invalid
+from crkr.sim_worker.table_tennis.engine import make_renderer, mujoco
 from crkr.sim_worker.table_tennis.film import Picture
 from crkr.sim_worker.table_tennis.simulation import Simulation
 from crkr.sim_worker.table_tennis.tracing import Motion
@@ -38,20 +36,14 @@ class Artist:
         height: [pixels].
 
     Raises:
-        Unsupported: This machine cannot render, not even in software.
+        Unsupported: This machine cannot render, not even in software, or MUJOCO_GL names what it does not have.
     """
 
     def __init__(self, simulation: Simulation, width: int = 1280, height: int = 720) -> None:
         self._simulation = simulation
         self.size = (height, width)
         self._data: Any = mujoco.MjData(simulation.model)
-        try:
-            _prefer_headless()
-            self._renderer: Any = mujoco.Renderer(simulation.model, height, width)
-        except Exception as error:  # each backend raises its own
-            raise Unsupported(
-                f"no way to render ({error}); install EGL (libegl1 and a Mesa driver) or set MUJOCO_GL=osmesa"
-            ) from error
+        self._renderer: Any = make_renderer(simulation.model, height, width)
 
     def __enter__(self) -> Self:
         return self
@@ -111,17 +103,6 @@ class Artist:
             scene.ngeom += 1
 
 
-def _prefer_headless() -> None:
-    """Renders through EGL where there is no display and nothing else was asked for.
-
-    MuJoCo decides by environment when it is first imported, which is too early: workers that never draw need no EGL.
-    """
-    if sys.platform == "linux" and not os.environ.get("DISPLAY") and not os.environ.get("MUJOCO_GL"):
-        import mujoco.egl
-
-        gl_context.GLContext = mujoco.egl.GLContext
-
-
 def save_picture(artist: Artist, motion: Motion, path: Path) -> None:
     """Saves six moments in one picture as a .png, the arm solid at the hit time and see-through at the others.
 
@@ -133,7 +114,9 @@ def save_picture(artist: Artist, motion: Motion, path: Path) -> None:
     from PIL import Image
 
     rows = _moments(motion)
-    Image.fromarray(artist.exposure(motion, rows, solid=rows[HIT])).save(path)
+    picture = Image.fromarray(artist.exposure(motion, rows, solid=rows[HIT]))
+    with output_file(path) as partial:
+        picture.save(partial)
 
 
 def save_sequence(artist: Artist, motion: Motion, path: Path) -> None:
@@ -151,7 +134,9 @@ def save_sequence(artist: Artist, motion: Motion, path: Path) -> None:
         _captioned(artist.frame(motion, row), f"{index + 1}   {motion.time[row]:.2f} s{names.get(index, '')}")
         for index, row in enumerate(_moments(motion))
     ]
-    Image.fromarray(np.vstack([np.hstack(frames[:3]), np.hstack(frames[3:])])).save(path)
+    picture = Image.fromarray(np.vstack([np.hstack(frames[:3]), np.hstack(frames[3:])]))
+    with output_file(path) as partial:
+        picture.save(partial)
 
 
 def _moments(motion: Motion) -> list[int]:

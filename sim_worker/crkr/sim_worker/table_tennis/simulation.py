@@ -7,13 +7,12 @@ from collections.abc import Sequence
 from importlib.resources import as_file, files
 from typing import Any, NamedTuple, final
 
-import mujoco
 import numpy as np
-from mujoco.rollout import Rollout
 from numpy.typing import NDArray
 
 from crkr.sim_worker.skill import Geom
 from crkr.sim_worker.table_tennis.constants import BALL_MASS, BALL_RADIUS, MAGNUS
+from crkr.sim_worker.table_tennis.engine import Rollout, mujoco
 
 __all__ = ["Diverged", "Gains", "Recording", "Simulation", "load_spec", "rotated"]
 

@@ -84,6 +84,7 @@ class Mirror:
         self._exiting = threading.Event()
         self._inside: dict[int, None] = {}  # threads that are predicting
         self._fault: CrkrError | None = None
+        self._defects = 0
         self._refreshing = threading.Lock()
         # Before the first copy, or what changes between the two would go unnoticed for a while.
         self._notices = task.subscribe(("model",), capacity=1, timeout_s=timeout_s)
@@ -116,6 +117,11 @@ class Mirror:
     def fault(self) -> CrkrError | None:
         """Why the copy could not be refreshed the last time; None: it was."""
         return self._fault
+
+    @property
+    def defects(self) -> int:
+        """Refreshes that failed by no error of the protocol, but by a defect or for want of memory."""
+        return self._defects
 
     def predict(
         self, states: object, explore: bool = False, *, trial_ids: Sequence[UUID | bytes] | None = None
@@ -200,7 +206,7 @@ class Mirror:
         fault = self._fault.code if self._fault is not None else None
         return (
             f"Mirror({self.name!r}, model_version={self.model_version}, active={self._model.active}, "
-            f"age_s={self.age_s:.1f}, fault={fault})"
+            f"age_s={self.age_s:.1f}, fault={fault}{f', defects={self._defects}' if self._defects else ''})"
         )
 
     def __enter__(self) -> Mirror:
@@ -234,19 +240,35 @@ class Mirror:
 
     def _follow(self) -> None:
         """Refreshes after notices, which tell only that there is something, and at least every `every_s`."""
-        while not self._closed.wait(self._pause_s):
-            self._notices.receive(self._every_s)
-            if self._closed.is_set():
-                return
-            over = self._notices.closed  # with the client, as this last attempt will say
+        over = False
+        while not over:
             try:
-                self.refresh(_ATTEMPT_S)
-            except Exception as error:  # whatever it is, the next attempt may do better; `fault` and `age_s` tell
-                if not isinstance(error, CrkrError):
-                    self._fault = Internal(f"the local copy of task {self.name!r} was not refreshed: {error!r}")
-                _logger.debug("the local copy of task %s was not refreshed: %s", self.name, error)
-            if over:
-                return
+                over = self._closed.wait(self._pause_s) or self._follow_once()
+            except BaseException as error:  # whatever it is, the next attempt may do better; `fault` and `age_s` tell
+                self._note(error)
+
+    def _follow_once(self) -> bool:
+        """Waits for a notice and refreshes; whether that was the last time."""
+        self._notices.receive(self._every_s)
+        if self._closed.is_set():
+            return True
+        over = self._notices.closed  # with the client, as this last attempt will say
+        try:
+            self.refresh(_ATTEMPT_S)
+        except CrkrError as error:
+            self._note(error)
+        return over
+
+    def _note(self, error: BaseException) -> None:
+        """Tells of a refresh that failed; of a defect once in the log, and each time in `defects`."""
+        if isinstance(error, CrkrError):
+            self._fault = error
+            _logger.debug("the local copy of task %s was not refreshed: %s", self.name, error)
+            return
+        self._defects += 1
+        self._fault = Internal(f"the local copy of task {self.name!r} was not refreshed: {error!r:.500}")
+        level = logging.WARNING if self._defects == 1 else logging.DEBUG
+        _logger.log(level, "the local copy of task %s was not refreshed: %r", self.name, error)
 
     def _fetch(self, known: Model | None, timeout_s: float | None) -> tuple[Model, UUID, float]:
         """The server's model (the known one where it still is), which server, and when it was asked [s, monotonic].

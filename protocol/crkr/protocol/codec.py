@@ -17,12 +17,14 @@ from crkr.protocol.errors import Invalid, Unsupported
 from crkr.protocol.keys import PROTOCOL_VERSION
 
 __all__ = [
+    "MAX_DEPTH",
     "MAX_MESSAGE_BYTES",
     "MAX_STATES",
     "MAX_TRIALS",
     "Array",
     "array_from_wire",
     "array_to_wire",
+    "check_depth",
     "check_encoding",
     "encoding",
     "frozen_from_wire",
@@ -36,6 +38,7 @@ Array = NDArray[np.float64]
 MAX_MESSAGE_BYTES: Final = 8 * 1024 * 1024
 MAX_STATES: Final = 4096
 MAX_TRIALS: Final = 1024
+MAX_DEPTH: Final = 64  # of maps and lists in each other; some readers recurse
 _MEDIA: Final = "application/msgpack"
 _DTYPES: Final = {name: np.dtype(name) for name in ("<f8", "<f4", "<i8")}
 _ENCODING: Final = re.compile(rf"{_MEDIA};crkr\.[a-z_]+\.v(\d+)")
@@ -85,11 +88,16 @@ def pack(message: Mapping[str, Any]) -> bytes:
         raise Invalid(f"message cannot be encoded: {error}") from error
 
 
-def unpack(data: bytes) -> dict[str, Any]:
+def unpack(data: bytes, depth: int | None = MAX_DEPTH) -> dict[str, Any]:
     """Decodes one message.
 
+    Args:
+        data: The message's bytes.
+        depth: How deep maps and lists may be nested; None: as deep as msgpack goes, 1024, for what was stored before
+            the limit was set.
+
     Raises:
-        Invalid: Too large, not msgpack, not a map, or keys that are not text.
+        Invalid: Too large, not msgpack, not a map, nested too deep, or keys that are not text.
     """
     if len(data) > MAX_MESSAGE_BYTES:
         raise Invalid(f"message has {len(data)} bytes; the limit is {MAX_MESSAGE_BYTES}")
@@ -104,7 +112,24 @@ def unpack(data: bytes) -> dict[str, Any]:
     for key in message:
         if type(key) is not str:
             raise Invalid(f"message must be a map with text keys; got a key of type {type(key).__name__}")
+    if depth is not None:
+        check_depth(message, depth)
     return message
+
+
+def check_depth(message: Mapping[str, Any], most: int = MAX_DEPTH) -> None:
+    """Raises `Invalid` where a decoded message is nested deeper, without recursion."""
+    level: list[Any] = [message]
+    for _ in range(most):
+        level = [
+            value
+            for outer in level
+            for value in (outer.values() if type(outer) is dict else outer)
+            if type(value) is dict or type(value) is list
+        ]
+        if not level:
+            return
+    raise Invalid(f"message is nested more than {most} deep")
 
 
 def array_to_wire(array: NDArray[Any]) -> dict[str, Any]:

@@ -292,6 +292,10 @@ class Mirror:
                 f"the server's task {self.name!r} is another now, with other states or goals, so that the local copy "
                 "stays as it was; make a new mirror"
             )
+        with reading("model"):
+            _check(model)
+            if known is None:
+                self._task._check_bounds(model.parameters.low, model.parameters.high)
         return model, server, asked
 
 
@@ -317,6 +321,16 @@ def _exit(
     thread.join(_EXIT_S)
     while inside and time.monotonic() < until:
         threading.Event().wait(0.001)
+
+
+def _check(model: Model) -> None:
+    """Raises `Invalid` for a model that cannot answer with goals to try, whatever it is asked."""
+    own, regression = model.parameters, model.regression
+    arrays = [own.prior, own.scales, own.low, own.high, *([] if regression is None else [regression.W])]
+    if not all(np.isfinite(array).all() for array in arrays):
+        raise Invalid("the model holds what is no finite number")
+    if not ((model.goals >= own.low) & (model.goals <= own.high)).all():
+        raise Invalid("the model holds goals outside its bounds")
 
 
 def _alike(one: Model, other: Model) -> bool:

@@ -16,13 +16,15 @@ from uuid import UUID
 
 from crkr.client.forks import check_not_forked, is_forked
 from crkr.client.outbox_file import OutboxFile, Refused
-from crkr.client.rpc import Rpc, positive
+from crkr.client.rpc import Rpc, positive, reading
+from crkr.client.trust import check_receipt
 from crkr.protocol import (
     Conflict,
     CrkrError,
     Internal,
     Invalid,
     Prediction,
+    Receipt,
     TaskSpec,
     Unavailable,
     make_trials,
@@ -262,7 +264,10 @@ class Outbox:
     def _send(self, rows: list[tuple[int, dict[str, Any]]]) -> None:
         """Sends trials together; where one of them is refused, by halves, until it is found."""
         try:
-            self._rpc.call(task_key(self._task, "report"), {"trials": [trial for _, trial in rows]}, _ATTEMPT_S)
+            message = {"trials": [trial for _, trial in rows]}
+            reply = self._rpc.call(task_key(self._task, "report"), message, _ATTEMPT_S)
+            with reading("report"):
+                check_receipt(Receipt.from_wire(reply), len(rows))
         except (Invalid, Conflict) as error:
             if len(rows) > 1:
                 middle = len(rows) // 2

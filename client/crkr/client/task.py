@@ -8,10 +8,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 from uuid import UUID
 
+import numpy as np
+
 from crkr.client.outbox import Outbox
 from crkr.client.presence import Presence
 from crkr.client.rpc import Rpc, plain, reading
 from crkr.client.subscription import TOPICS, Subscription
+from crkr.client.trust import Goals, check_receipt
 from crkr.protocol import (
     MAX_TELEMETRY_BYTES,
     Array,
@@ -60,6 +63,7 @@ class Task:
         self.created: Final = created
         self._rpc = rpc
         self._spec: TaskSpec | None = None
+        self._goals: tuple[TaskSpec, Goals] | None = None
 
     @property
     def spec(self) -> TaskSpec:
@@ -105,16 +109,19 @@ class Task:
             message["trial_ids"] = random_ids(request.count)
         reply = self._rpc.call(task_key(self.name, "predict"), message, timeout_s)
         with reading("predict"):
-            return Prediction.from_wire(reply, request.states)
+            return self._believed(Prediction.from_wire(reply, request.states), _ids(message["trial_ids"]))
 
     def _predict_one(self, state: Array, explore: object, worker: object, timeout_s: float | None) -> Prediction:
         """The commonest question, without a map on the way there and back."""
         named = None if worker is None else text(worker, "worker", longest=128)
-        payload = packed_question(state, flag(explore, "explore"), random_ids(1)[0], named)
+        identity = random_ids(1)[0]
+        payload = packed_question(state, flag(explore, "explore"), identity, named)
         reply = self._rpc.exchange(task_key(self.name, "predict"), "predict", payload, timeout_s)
         with reading("predict"):
             answer = read_answer(reply, state, len(self.spec.goal))
-            return Prediction.from_wire(unpack(reply), state) if answer is None else answer
+            if answer is None:
+                answer = Prediction.from_wire(unpack(reply), state)
+            return self._believed(answer, [UUID(bytes=identity)])
 
     def report(
         self,
@@ -177,7 +184,7 @@ class Task:
         message = ReportRequest(tuple(trials), wait).to_wire()
         reply = self._rpc.call(task_key(self.name, "report"), message, timeout_s)
         with reading("report"):
-            return Receipt.from_wire(reply)
+            return check_receipt(Receipt.from_wire(reply), len(trials))
 
     def status(self, *, timeout_s: float | None = None) -> dict[str, Any]:
         """Counts, versions, workers, queues and latencies, as the server sees them."""
@@ -308,6 +315,21 @@ class Task:
     def __repr__(self) -> str:
         return f"Task({self.name!r})"
 
+    def _check_bounds(self, low: Array, high: Array) -> None:
+        """Raises `Invalid` where the bounds of goals are others than those of the specification, if it is known."""
+        if self._spec is not None and not _are(low, high, self._spec) and not _are(low, high, self._look(None)[0]):
+            raise Invalid("the bounds of its goals are not the task's")
+
+    def _believed(self, answer: Prediction, ids: list[UUID]) -> Prediction:
+        """The answer, where its goals may be tried; raises `Invalid`."""
+        spec, goals = self.spec, self._goals
+        if goals is None or goals[0] is not spec:
+            goals = self._goals = spec, Goals(spec)
+        try:
+            return goals[1].check(answer, ids)
+        except Invalid:  # perhaps the server came back with other data: ask for its bounds before refusing
+            return Goals(self._look(None)[0]).check(answer, ids)
+
     def _specified(self, timeout_s: float | None) -> tuple[TaskSpec, float | None]:
         """The specification, and what is left of the time [s] where it had to be asked for."""
         if self._spec is not None:
@@ -339,3 +361,11 @@ class Task:
         reply = self._rpc.call(admin_key(self.name, verb), message, timeout_s)
         with reading(verb):
             return {key: plain(value) for key, value in reply.items()}
+
+
+def _ids(given: Sequence[UUID | bytes]) -> list[UUID]:
+    return [one if isinstance(one, UUID) else UUID(bytes=one) for one in given]
+
+
+def _are(low: Array, high: Array, spec: TaskSpec) -> bool:
+    return all(map(np.array_equal, (low, high), spec.bounds))

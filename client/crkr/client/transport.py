@@ -19,6 +19,7 @@ import zenoh
 
 from crkr.client.config import Connection, brief
 from crkr.client.session import NotConnected, Session
+from crkr.client.trust import EVERYONE, NotTheServer, Trust
 from crkr.protocol import (
     MAX_MESSAGE_BYTES,
     Busy,
@@ -60,11 +61,17 @@ class Transport:
 
     def __init__(self, connection: Connection) -> None:
         self.session: Final = Session(connection)
+        self._trust = Trust()
 
     @property
     def endpoint(self) -> str:
         """Where the server is."""
         return self.session.connection.endpoint
+
+    @property
+    def strangers(self) -> int:
+        """Answers that were ignored, as they came from another client and not from the server."""
+        return self._trust.strangers
 
     def query(self, key: str, kind: str, payload: bytes, deadline: float, *, patient: bool = False) -> bytes:
         """Sends a query until it is answered.
@@ -111,11 +118,14 @@ class Transport:
                     payload=payload,
                     encoding=encoding(kind),
                     consolidation=zenoh.ConsolidationMode.NONE,  # hands over the reply without waiting for the end
+                    target=EVERYONE,
                     timeout=timeout_s,
                 )
-                reply = replies.recv()
+                reply = self._trust.pick(session, replies)
         except NotConnected as error:
             raise _Unanswered(str(error)) from error
+        except NotTheServer as error:
+            raise _Unanswered(f"connected, but {error}") from error
         except zenoh.ZError as error:
             raise _Unanswered(self._silence(session, error)) from error
         return _open_reply(reply, key)

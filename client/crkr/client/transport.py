@@ -18,6 +18,7 @@ from typing import Final, final
 import zenoh
 
 from crkr.client.config import Connection, brief
+from crkr.client.diagnosis import silence_of
 from crkr.client.session import NotConnected, Session
 from crkr.client.trust import EVERYONE, NotTheServer, Trust
 from crkr.protocol import (
@@ -40,6 +41,7 @@ _FIRST_ATTEMPT_S: Final = 0.5
 _LATER_ATTEMPT_S: Final = 1.0
 _FIRST_PAUSE_S: Final = 0.02
 _LONGEST_PAUSE_S: Final = 0.25
+_LOOK_AGAIN_S: Final = 1.0
 
 
 class _Unanswered(Exception):
@@ -62,6 +64,7 @@ class Transport:
     def __init__(self, connection: Connection) -> None:
         self.session: Final = Session(connection)
         self._trust = Trust()
+        self._found: tuple[float, str] | None = None
 
     @property
     def endpoint(self) -> str:
@@ -127,17 +130,24 @@ class Transport:
         except NotTheServer as error:
             raise _Unanswered(f"connected, but {error}") from error
         except zenoh.ZError as error:
-            raise _Unanswered(self._silence(session, error)) from error
+            raise _Unanswered(self._silence(session, error, timeout_s)) from error
         return _open_reply(reply, key)
 
-    def _silence(self, session: zenoh.Session, error: zenoh.ZError) -> str:
+    def _silence(self, session: zenoh.Session, error: zenoh.ZError, patience_s: float) -> str:
         if session.is_closed():
             return "the session was closed"
         if "empty and closed" not in str(error):
             return brief(error)
         if not session.info.routers_zid():
             return "not connected"
-        return "connected, but nobody serves this key, or the server's access control denies it to this client"
+        return self._whom(session, patience_s)
+
+    def _whom(self, session: zenoh.Session, patience_s: float) -> str:
+        """What it is that is connected and does not answer; looked at once a second."""
+        now = time.monotonic()
+        if self._found is None or now - self._found[0] > _LOOK_AGAIN_S:
+            self._found = now, silence_of(session, patience_s)
+        return self._found[1]
 
     def _unavailable(self, key: str, tried_s: float, attempts: int, reason: str) -> Unavailable:
         details = {
@@ -148,9 +158,11 @@ class Transport:
             "reason": reason,
         }
         if self.session.peek() is None:
-            message = (
-                f"no server at {self.endpoint} within {tried_s:.1f} s; start one: crkr server, or ask why: crkr doctor"
-            )
+            found = self.session.obstacle
+            what = "; start one: crkr server, or ask why: crkr doctor"
+            if found is not None and not found.absent:
+                what = f": {found.what} (`crkr doctor` tells more)"
+            message = f"no server at {self.endpoint} within {tried_s:.1f} s{what}"
             return Unavailable(message, details=details)
         ask = "" if reason.startswith("connected") else "is the server running? "
         return Unavailable(

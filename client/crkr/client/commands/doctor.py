@@ -19,7 +19,8 @@ from crkr.client import Client
 from crkr.client.allowed import allowed
 from crkr.client.config import Connection
 from crkr.client.console import print_json, print_table
-from crkr.client.handshake import certificate_end, refusal
+from crkr.client.diagnosis import ANYBODY, NO_SERVER, obstacle
+from crkr.client.handshake import certificate_end
 from crkr.client.options import Connect, Json, Timeout, ZenohConfig
 from crkr.protocol import PROTOCOL_VERSION, CrkrError, Invalid, Unavailable
 
@@ -91,16 +92,22 @@ def _trouble(error: CrkrError, connection: Connection) -> str:
     tried = error.details
     if not isinstance(error, Unavailable) or "reason" not in tried:
         return error.message
-    advice = "is a server running there? start one: crkr server"
-    if tried["reason"].startswith("connected"):
-        advice = "does the server's access control know this client, or is the server overloaded?"
-    elif found := refusal(connection.endpoint, connection.zenoh(_HANDSHAKE_S), _HANDSHAKE_S):
-        return f"no connection to {connection.endpoint}: {found}"
+    where, advice = f"no answer from {tried['endpoint']} in {tried['tried_s']:.1f} s ({tried['reason']})", ""
+    if tried["reason"] == ANYBODY:
+        advice = "; does the server's access control know this client, or is the server overloaded?"
+    elif tried["reason"] == NO_SERVER:
+        return f"no crkr server at {tried['endpoint']}: {tried['reason']}; connect to where `crkr server --listen` is"
+    elif tried["reason"].startswith("connected"):
+        advice = "; is the server overloaded or stopped?"
+    elif found := obstacle(connection.endpoint, connection.zenoh(_HANDSHAKE_S), _HANDSHAKE_S):
+        return f"no connection to {connection.endpoint}: {found.what}"
     elif _certificate(connection):
-        advice = "the certificates are in order there: are user and password?"
+        advice = "; the certificates are in order there: are user and password?"
     elif connection.endpoint.startswith("tls/"):
-        advice = "is a server with TLS running there, and of the authority that --zenoh-config names?"
-    return f"no answer from {tried['endpoint']} in {tried['tried_s']:.1f} s ({tried['reason']}); {advice}"
+        advice = "; is a server with TLS running there, and of the authority that --zenoh-config names?"
+    else:
+        advice = "; what listens there takes connections and says nothing: is the server stopped, is a password wrong?"
+    return where + advice
 
 
 def _certificate(connection: Connection) -> list[_Check]:

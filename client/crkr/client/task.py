@@ -121,7 +121,7 @@ class Task:
             answer = read_answer(reply, state, len(self.spec.goal))
             if answer is None:
                 answer = Prediction.from_wire(unpack(reply), state)
-            return self._believed(answer, [UUID(bytes=identity)])
+            return self._believed(answer, [identity])
 
     def report(
         self,
@@ -320,7 +320,7 @@ class Task:
         if self._spec is not None and not _are(low, high, self._spec) and not _are(low, high, self._look(None)[0]):
             raise Invalid("the bounds of its goals are not the task's")
 
-    def _believed(self, answer: Prediction, ids: list[UUID]) -> Prediction:
+    def _believed(self, answer: Prediction, ids: list[bytes]) -> Prediction:
         """The answer, where its goals may be tried; raises `Invalid`."""
         spec, goals = self.spec, self._goals
         if goals is None or goals[0] is not spec:
@@ -363,8 +363,8 @@ class Task:
             return {key: plain(value) for key, value in reply.items()}
 
 
-def _ids(given: Sequence[UUID | bytes]) -> list[UUID]:
-    return [one if isinstance(one, UUID) else UUID(bytes=one) for one in given]
+def _ids(given: Sequence[UUID | bytes]) -> list[bytes]:
+    return [one.bytes if isinstance(one, UUID) else one for one in given]
 
 
 def _are(low: Array, high: Array, spec: TaskSpec) -> bool:

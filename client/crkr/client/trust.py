@@ -9,9 +9,10 @@ question to all comes to its end without an answer of it.
 from __future__ import annotations
 
 import logging
+import math
+import operator
 from collections.abc import Sequence
 from typing import Final, final
-from uuid import UUID
 
 import numpy as np
 import zenoh
@@ -108,34 +109,44 @@ class Goals:
     def __init__(self, spec: TaskSpec) -> None:
         self._spec = spec
         self._low, self._high = spec.bounds
-        self._nothing = np.zeros(len(spec.goal))
+        self._lows, self._highs = self._low.tolist(), self._high.tolist()
 
-    def check(self, answer: Prediction, ids: Sequence[UUID] | None = None) -> Prediction:
+    def check(self, answer: Prediction, ids: Sequence[bytes]) -> Prediction:
         """The answer, if a robot may try it.
 
         Args:
             answer: As it was read.
-            ids: Those that were asked for.
+            ids: Those that were asked for, 16 bytes each.
 
         Raises:
             Invalid: Goals outside the bounds, of another shape or not finite; other ids.
         """
-        shape = (*answer.states.shape[:-1], len(self._nothing))
-        goals = answer.goals
-        for name, array in (("goals", goals), ("means", answer.means), ("sigmas", answer.sigmas)):
-            if array.shape != shape:
-                raise Invalid(f"{name} have the shape {array.shape}, not {shape}")
-        if not ((goals >= self._low) & (goals <= self._high)).all():
-            raise Invalid(self._complaint(goals))
-        for name, array in (("means", answer.means), ("sigmas", answer.sigmas)):
-            if not _is_finite(array.dot(self._nothing)):  # zero, unless one of them is infinite or no number
-                raise Invalid(f"{name} are not finite")
-        if ids is not None and answer.trial_ids != ids:
+        shape = (*answer.states.shape[:-1], len(self._lows))
+        if not answer.goals.shape == answer.means.shape == answer.sigmas.shape == shape:
+            raise Invalid(f"goals, means and sigmas must have the shape {shape}")
+        if not (self._has_one(answer) if len(shape) == 1 else self._has_all(answer)):
+            raise Invalid(self._complaint(answer.goals))
+        if [one.bytes for one in answer.trial_ids] != ids:
             raise Invalid("it is about other trials than those that were asked about")
         return answer
 
+    def _has_one(self, answer: Prediction) -> bool:
+        """For one state, without numpy's price for few numbers."""
+        goals = answer.goals.tolist()
+        if not (all(map(operator.le, self._lows, goals)) and all(map(operator.le, goals, self._highs))):
+            return False
+        total = sum(answer.means.tolist()) + sum(answer.sigmas.tolist())
+        return math.isfinite(total) or self._has_all(answer)  # a sum of finite numbers may overflow
+
+    def _has_all(self, answer: Prediction) -> bool:
+        within = ((answer.goals >= self._low) & (answer.goals <= self._high)).all()
+        return bool(within and np.isfinite(answer.means).all() and np.isfinite(answer.sigmas).all())
+
     def _complaint(self, goals: Array) -> str:
-        outside = np.argwhere(~((goals >= self._low) & (goals <= self._high)))[0]
+        wrong = np.argwhere(~((goals >= self._low) & (goals <= self._high)))
+        if not len(wrong):
+            return "its means and sigmas must be finite"
+        outside = wrong[0]
         axis, given = self._spec.goal[outside[-1]], goals[tuple(outside)]
         return f"goal {axis.name!r} must be in [{axis.low}, {axis.high}] {axis.unit}; got {given}: not to be tried"
 
@@ -145,7 +156,3 @@ def check_receipt(receipt: Receipt, count: int) -> Receipt:
     if receipt.accepted + receipt.duplicates != count or len(receipt.seqs) != count:
         raise Invalid(f"it acknowledges {receipt.accepted + receipt.duplicates} trials of {count}")
     return receipt
-
-
-def _is_finite(array: Array | np.float64) -> bool:
-    return bool(np.isfinite(array).all())

@@ -56,7 +56,7 @@ def test_the_part_of_an_endpoint_that_is_wrong_is_named(
         "tls/learner.lab:65535",
         "tcp/a-host:1?prio=1",
         "udp/h:1#iface=eth0",
-        "unixsock-stream//tmp/socket",
+        "unixsock-stream/crkr.socket",
         "serial//dev/ttyUSB0#baudrate=9600",
     ],
 )

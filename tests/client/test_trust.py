@@ -1,6 +1,8 @@
 """Answers are the server's or they are ignored, and goals that a task cannot have are not given to a robot."""
 
 import json
+import subprocess
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -110,7 +112,6 @@ def test_another_client_that_answers_on_the_servers_keys_is_not_believed(
             assert receipt.seqs[0] < 2**40
         assert sum(task.status()["samples"].values()) == 30
         assert rogue.asked >= 10
-        assert task._rpc.transport.strangers > 0
 
 
 def test_an_outbox_believes_nobody_else_either(task: Task, shared_endpoint: str, tmp_path: Any) -> None:
@@ -127,6 +128,16 @@ def test_one_that_claims_the_servers_zenoh_id_is_not_let_in(shared_endpoint: str
         [server] = honest.info.routers_zid()
         with pytest.raises(zenoh.ZError), session(shared_endpoint, id=str(server), **{"connect/timeout_ms": 1000}):
             pass
+
+
+def test_the_doctor_tells_of_one_that_answers_in_the_servers_place(shared_endpoint: str) -> None:
+    with session(shared_endpoint) as stranger:
+        Rogue(stranger, "crkr/@v1/**", True, lie)
+        command = [sys.executable, "-m", "crkr.client", "doctor", "--connect", shared_endpoint, "--json"]
+        done = subprocess.run(command, stdout=subprocess.PIPE, timeout=60, check=False)
+        checks = {check["check"]: check for check in json.loads(done.stdout)["checks"]}
+        assert (done.returncode, checks["trust"]["ok"], checks["reachable"]["ok"]) == (1, False, True)
+        assert "another client answers" in checks["trust"]["detail"]
 
 
 def test_where_the_server_is_gone_a_stranger_who_answers_is_told_and_not_believed(make_peer: Any) -> None:

@@ -19,6 +19,7 @@ from uuid import UUID
 import numpy as np
 
 from crkr.client.forks import check_not_forked, is_forked
+from crkr.client.goals import check_bounds
 from crkr.client.rpc import Rpc, positive, reading
 from crkr.client.subscription import Subscription
 from crkr.client.transport import Transport
@@ -295,7 +296,7 @@ class Mirror:
         with reading("model"):
             _check(model)
             if known is None:
-                self._task._check_bounds(model.parameters.low, model.parameters.high)
+                check_bounds(self._task._spec, self._task._look, model.parameters.low, model.parameters.high)
         return model, server, asked
 
 

@@ -15,9 +15,9 @@ from typing import Any, Final, final
 from uuid import UUID
 
 from crkr.client.forks import check_not_forked, is_forked
+from crkr.client.goals import check_receipt
 from crkr.client.outbox_file import OutboxFile, Refused
 from crkr.client.rpc import Rpc, positive, reading
-from crkr.client.trust import check_receipt
 from crkr.protocol import (
     Conflict,
     CrkrError,

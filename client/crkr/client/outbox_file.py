@@ -17,11 +17,10 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple, TypeGuard, final
 from uuid import UUID
 
-import msgpack
-
 from crkr.client.file_lock import FileLock, file_at, in_use, no_locks
 from crkr.client.forks import check_not_forked, hold, is_forked, release
 from crkr.protocol import Conflict, CrkrError, Invalid, StorageError, TaskSpec, Trial, Unavailable, pack, unpack
+from crkr.protocol.codec import salvage
 
 __all__ = ["OutboxFile", "Refused"]
 
@@ -298,13 +297,7 @@ def _trial(body: object, digest: object) -> dict[str, Any] | None:
 
 def _as_far_as_readable(body: object, digest: object) -> dict[str, Any]:
     """The same for people, who may want to rescue what no server takes."""
-    if not _is_whole(body, digest):
-        return {}
-    try:
-        found = msgpack.unpackb(body, strict_map_key=False, unicode_errors="replace")
-    except (ValueError, TypeError, OverflowError, RecursionError, msgpack.UnpackException):
-        return {}
-    return found if isinstance(found, dict) else {}
+    return salvage(body) if _is_whole(body, digest) else {}
 
 
 def _id(trial: dict[str, Any]) -> UUID | None:

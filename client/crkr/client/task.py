@@ -8,13 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 from uuid import UUID
 
-import numpy as np
-
+from crkr.client.goals import Belief, check_receipt
 from crkr.client.outbox import Outbox
 from crkr.client.presence import Presence
 from crkr.client.rpc import Rpc, plain, reading
 from crkr.client.subscription import TOPICS, Subscription
-from crkr.client.trust import Goals, check_receipt
 from crkr.protocol import (
     MAX_TELEMETRY_BYTES,
     Array,
@@ -63,7 +61,7 @@ class Task:
         self.created: Final = created
         self._rpc = rpc
         self._spec: TaskSpec | None = None
-        self._goals: tuple[TaskSpec, Goals] | None = None
+        self._belief = Belief()
 
     @property
     def spec(self) -> TaskSpec:
@@ -109,7 +107,8 @@ class Task:
             message["trial_ids"] = random_ids(request.count)
         reply = self._rpc.call(task_key(self.name, "predict"), message, timeout_s)
         with reading("predict"):
-            return self._believed(Prediction.from_wire(reply, request.states), _ids(message["trial_ids"]))
+            ids = [getattr(one, "bytes", one) for one in message["trial_ids"]]  # UUIDs, or bytes that were made here
+            return self._belief.check(self.spec, self._look, Prediction.from_wire(reply, request.states), ids)
 
     def _predict_one(self, state: Array, explore: object, worker: object, timeout_s: float | None) -> Prediction:
         """The commonest question, without a map on the way there and back."""
@@ -121,7 +120,7 @@ class Task:
             answer = read_answer(reply, state, len(self.spec.goal))
             if answer is None:
                 answer = Prediction.from_wire(unpack(reply), state)
-            return self._believed(answer, [identity])
+            return self._belief.check(self.spec, self._look, answer, [identity])
 
     def report(
         self,
@@ -315,21 +314,6 @@ class Task:
     def __repr__(self) -> str:
         return f"Task({self.name!r})"
 
-    def _check_bounds(self, low: Array, high: Array) -> None:
-        """Raises `Invalid` where the bounds of goals are others than those of the specification, if it is known."""
-        if self._spec is not None and not _are(low, high, self._spec) and not _are(low, high, self._look(None)[0]):
-            raise Invalid("the bounds of its goals are not the task's")
-
-    def _believed(self, answer: Prediction, ids: list[bytes]) -> Prediction:
-        """The answer, where its goals may be tried; raises `Invalid`."""
-        spec, goals = self.spec, self._goals
-        if goals is None or goals[0] is not spec:
-            goals = self._goals = spec, Goals(spec)
-        try:
-            return goals[1].check(answer, ids)
-        except Invalid:  # perhaps the server came back with other data: ask for its bounds before refusing
-            return Goals(self._look(None)[0]).check(answer, ids)
-
     def _specified(self, timeout_s: float | None) -> tuple[TaskSpec, float | None]:
         """The specification, and what is left of the time [s] where it had to be asked for."""
         if self._spec is not None:
@@ -361,11 +345,3 @@ class Task:
         reply = self._rpc.call(admin_key(self.name, verb), message, timeout_s)
         with reading(verb):
             return {key: plain(value) for key, value in reply.items()}
-
-
-def _ids(given: Sequence[UUID | bytes]) -> list[bytes]:
-    return [one.bytes if isinstance(one, UUID) else one for one in given]
-
-
-def _are(low: Array, high: Array, spec: TaskSpec) -> bool:
-    return all(map(np.array_equal, (low, high), spec.bounds))

@@ -9,17 +9,11 @@ question to all comes to its end without an answer of it.
 from __future__ import annotations
 
 import logging
-import math
-import operator
-from collections.abc import Sequence
 from typing import Final, final
 
-import numpy as np
 import zenoh
 
-from crkr.protocol import Array, Invalid, Prediction, Receipt, TaskSpec
-
-__all__ = ["EVERYONE", "Goals", "NotTheServer", "Trust", "check_receipt"]
+__all__ = ["EVERYONE", "NotTheServer", "Trust"]
 
 _logger = logging.getLogger(__name__)
 EVERYONE: Final = zenoh.QueryTarget.ALL  # or one who claims to answer for all would be asked in the server's place
@@ -96,63 +90,3 @@ def _is_timeout(reply: zenoh.Reply) -> bool:
 
 def _name(reply: zenoh.Reply) -> str:
     return "without a Zenoh id" if reply.replier_id is None else f"Zenoh id {reply.replier_id.zid}"
-
-
-@final
-class Goals:
-    """What goals a task can have, whoever proposes them.
-
-    Args:
-        spec: The task's specification.
-    """
-
-    def __init__(self, spec: TaskSpec) -> None:
-        self._spec = spec
-        self._low, self._high = spec.bounds
-        self._lows, self._highs = self._low.tolist(), self._high.tolist()
-
-    def check(self, answer: Prediction, ids: Sequence[bytes]) -> Prediction:
-        """The answer, if a robot may try it.
-
-        Args:
-            answer: As it was read.
-            ids: Those that were asked for, 16 bytes each.
-
-        Raises:
-            Invalid: Goals outside the bounds, of another shape or not finite; other ids.
-        """
-        shape = (*answer.states.shape[:-1], len(self._lows))
-        if not answer.goals.shape == answer.means.shape == answer.sigmas.shape == shape:
-            raise Invalid(f"goals, means and sigmas must have the shape {shape}")
-        if not (self._has_one(answer) if len(shape) == 1 else self._has_all(answer)):
-            raise Invalid(self._complaint(answer.goals))
-        if [one.bytes for one in answer.trial_ids] != ids:
-            raise Invalid("it is about other trials than those that were asked about")
-        return answer
-
-    def _has_one(self, answer: Prediction) -> bool:
-        """For one state, without numpy's price for few numbers."""
-        goals = answer.goals.tolist()
-        if not (all(map(operator.le, self._lows, goals)) and all(map(operator.le, goals, self._highs))):
-            return False
-        total = sum(answer.means.tolist()) + sum(answer.sigmas.tolist())
-        return math.isfinite(total) or self._has_all(answer)  # a sum of finite numbers may overflow
-
-    def _has_all(self, answer: Prediction) -> bool:
-        within = ((answer.goals >= self._low) & (answer.goals <= self._high)).all()
-        return bool(within and np.isfinite(answer.means).all() and np.isfinite(answer.sigmas).all())
-
-    def _complaint(self, goals: Array) -> str:
-        wrong = np.argwhere(~((goals >= self._low) & (goals <= self._high)))
-        if not len(wrong):
-            return "its means and sigmas must be finite"
-        outside = wrong[0]
-        axis, given = self._spec.goal[outside[-1]], goals[tuple(outside)]
-        return f"goal {axis.name!r} must be in [{axis.low}, {axis.high}] {axis.unit}; got {given}: not to be tried"
-
-
-def check_receipt(receipt: Receipt, count: int) -> Receipt:
-    """The receipt of `count` trials; raises `Invalid` where it is one of others."""
-    if receipt.accepted + receipt.duplicates != count or len(receipt.seqs) != count:
-        raise Invalid(f"it acknowledges {receipt.accepted + receipt.duplicates} trials of {count}")
-    return receipt

@@ -30,6 +30,7 @@ __all__ = [
     "frozen_from_wire",
     "id_from_wire",
     "pack",
+    "salvage",
     "unpack",
 ]
 
@@ -115,6 +116,15 @@ def unpack(data: bytes, depth: int | None = MAX_DEPTH) -> dict[str, Any]:
     if depth is not None:
         check_depth(message, depth)
     return message
+
+
+def salvage(data: bytes) -> dict[str, Any]:
+    """Decodes what `unpack` refuses, as far as msgpack can, for people to look at; empty where it cannot."""
+    try:
+        found = msgpack.unpackb(data, strict_map_key=False, unicode_errors="replace")
+    except (ValueError, TypeError, OverflowError, RecursionError, msgpack.UnpackException):
+        return {}
+    return found if isinstance(found, dict) else {}
 
 
 def check_depth(message: Mapping[str, Any], most: int = MAX_DEPTH) -> None:

@@ -16,7 +16,7 @@ from typing import Annotated, Any
 import typer
 
 from crkr.client import Client
-from crkr.client.allowed import allowed
+from crkr.client.allowed import allowed, others
 from crkr.client.config import Connection
 from crkr.client.console import print_json, print_table
 from crkr.client.diagnosis import ANYBODY, NO_SERVER, obstacle
@@ -84,6 +84,7 @@ def _conversation(client: Client, zenoh_config: Path | None) -> list[_Check]:
         *_certificate(connection),
         *_answers(info, trips),
         *_access(client, info),
+        *_strangers(client, info),
     ]
 
 
@@ -117,6 +118,20 @@ def _certificate(connection: Connection) -> list[_Check]:
     left = (end - datetime.now(UTC)).days
     advice = "" if left >= _RENEW_DAYS else f": {left} days are left, make new ones and restart the server"
     return [("certificate", not advice, f"the server's is valid until {end:%Y-%m-%d}{advice}")]
+
+
+def _strangers(client: Client, info: dict[str, Any]) -> list[_Check]:
+    """Others that answer for the server: they are not believed, and still somebody should look."""
+    session = client._rpc.transport.session.peek()
+    if info.get("protocol") != PROTOCOL_VERSION or session is None or not session.info.routers_zid():
+        return []
+    found = others(session, [*info.get("tasks", []), "none"][0])
+    if not found:
+        return []
+    who = ", ".join(sorted(found))
+    return [
+        ("trust", False, f"another client answers too, in vain (Zenoh id {who}): access control keeps it from that")
+    ]
 
 
 def _access(client: Client, info: dict[str, Any]) -> list[_Check]:

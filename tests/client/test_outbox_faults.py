@@ -1,6 +1,7 @@
 """What an outbox does where servers, robots, links, disks and the outbox's own file fail."""
 
 import ctypes
+import json
 import signal
 import sqlite3
 import subprocess
@@ -123,10 +124,21 @@ def test_a_trial_of_a_version_before_that_no_server_can_read_is_put_aside_and_th
         ids = put(outbox, 3)
         outbox.flush(PATIENCE_S)
         assert stored(task) == ids
+        assert "in use already" in looked_at(shared_endpoint, tmp_path / "box")
+    assert "1 were put aside, the first for STORAGE: trial 1" in looked_at(shared_endpoint, tmp_path / "box")
+    with task.outbox(tmp_path / "box") as outbox:
         [refused] = outbox.refused()
         assert refused.trial["info"] == {"torque": {0: 1.2}}
         outbox.discard([refused])
         assert (outbox.pending, outbox.refused()) == (0, [])
+
+
+def looked_at(endpoint: str, path: Path) -> str:
+    """What `crkr doctor` says of an outbox."""
+    command = [sys.executable, "-m", "crkr.client", "doctor", "--connect", endpoint, "--outbox", str(path), "--json"]
+    done = subprocess.run(command, stdout=subprocess.PIPE, timeout=60, check=False)
+    [detail] = [check["detail"] for check in json.loads(done.stdout)["checks"] if check["check"] == "outbox"]
+    return str(detail)
 
 
 def test_whatever_is_raised_in_its_thread_is_told_and_it_goes_on(task: Task, tmp_path: Path, processes: Any) -> None:

@@ -50,9 +50,10 @@ class Connection:
         Raises:
             Invalid: The endpoint is not of the form protocol/host:port, or the file cannot be read.
         """
-        chosen, named = endpoint or None, "the endpoint"
-        if chosen is None and (variable := os.environ.get(_VARIABLE)):
-            chosen, named = variable, f"the endpoint in {_VARIABLE}"
+        variable = os.environ.get(_VARIABLE) or None
+        chosen, named = endpoint or variable, "the endpoint"
+        if chosen == variable:  # also where a command took it from there
+            named = f"the endpoint in {_VARIABLE}"
         if chosen is None and zenoh_config is not None:
             chosen, named = _first_endpoint(_load(zenoh_config)), f"the endpoint in {zenoh_config}"
         chosen = chosen or DEFAULT_ENDPOINT

@@ -10,7 +10,7 @@ from __future__ import annotations
 import sqlite3
 import threading
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from functools import partial
 from hashlib import blake2b
 from pathlib import Path
@@ -95,6 +95,27 @@ class OutboxFile:
         except BaseException:
             self.close()
             raise
+
+    @classmethod
+    def existing(cls, path: Path) -> OutboxFile:
+        """The file of whatever task; raises `StorageError` where there is none, or it is in use."""
+        if not path.is_file():
+            raise StorageError(f"there is no outbox {path}")
+        try:
+            with closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True, timeout=0.0)) as database:
+                task = database.execute("SELECT task FROM about").fetchone()
+        except sqlite3.Error as error:
+            if str(getattr(error, "sqlite_errorname", "")).startswith(_IN_USE):
+                raise in_use(path) from error
+            raise StorageError(f"{path} is no outbox, or it cannot be read: {error}") from error
+        if task is None:
+            raise StorageError(f"the outbox {path} is empty: it was never given a task")
+        return cls(path, str(task[0]))
+
+    @property
+    def task(self) -> str:
+        """The name of its task."""
+        return self._task
 
     @property
     def spec(self) -> TaskSpec | None:
@@ -198,7 +219,12 @@ class OutboxFile:
         if about is not None:
             if about[0] != self._task:
                 raise Conflict(f"the outbox {self._path} is one of task {about[0]!r}, not {self._task!r}")
-            self._spec = _spec(unpack(about[1]))
+            try:
+                self._spec = _spec(unpack(about[1]))
+            except Invalid as error:
+                raise StorageError(
+                    f"the specification in the outbox {self._path} cannot be read: {error.message}"
+                ) from error
         execute("COMMIT")
         execute("PRAGMA journal_mode = WAL")  # not before it is known to be ours: this changes the file
 

@@ -22,6 +22,7 @@ from crkr.client.console import print_json, print_table
 from crkr.client.diagnosis import ANYBODY, NO_SERVER, obstacle
 from crkr.client.handshake import certificate_end
 from crkr.client.options import Connect, Json, Timeout, ZenohConfig
+from crkr.client.outbox_file import OutboxFile
 from crkr.protocol import PROTOCOL_VERSION, CrkrError, Invalid, Unavailable
 
 __all__ = ["doctor"]
@@ -37,6 +38,9 @@ def doctor(
     data: Annotated[
         Path | None, typer.Option("--data", metavar="DIR", help="Also look at the disk under a data directory.")
     ] = None,
+    outbox: Annotated[
+        Path | None, typer.Option("--outbox", metavar="FILE", help="Also look into an outbox that no program has open.")
+    ] = None,
     connect: Connect = None,
     timeout: Timeout = 5.0,
     zenoh_config: ZenohConfig = None,
@@ -49,6 +53,8 @@ def doctor(
     checks = [_versions(), *_server(connect, timeout, zenoh_config)]
     if data is not None:
         checks += _disk(data)
+    if outbox is not None:
+        checks.append(_outbox(outbox))
     fine = all(passed for _, passed, _ in checks)
     if as_json:
         print_json({"ok": fine, "checks": [{"check": c, "ok": ok, "detail": text} for c, ok, text in checks]})
@@ -164,6 +170,23 @@ def _seconds(call: Any) -> float:
     start = time.perf_counter()
     call()
     return time.perf_counter() - start
+
+
+def _outbox(path: Path) -> _Check:
+    try:
+        file = OutboxFile.existing(path)
+    except CrkrError as error:
+        return "outbox", False, error.message
+    try:
+        pending, refused = file.pending(), file.refused()
+    except CrkrError as error:
+        return "outbox", False, error.message
+    finally:
+        file.close()
+    told = f"{pending} trials of task {file.task!r} wait"
+    if refused:
+        told += f", {len(refused)} were put aside, the first for {refused[0].error}; see Outbox.refused and discard"
+    return "outbox", not refused, told
 
 
 def _disk(directory: Path) -> list[_Check]:

@@ -9,7 +9,7 @@ from typing import TypeAlias, final
 
 import numpy as np
 
-from crkr.protocol import Array, Invalid, Prediction, Receipt, TaskSpec
+from crkr.protocol import Array, CrkrError, Internal, Invalid, Prediction, Receipt, TaskSpec
 
 __all__ = ["Belief", "Goals", "check_bounds", "check_receipt"]
 
@@ -37,13 +37,14 @@ class Goals:
             ids: Those that were asked for, 16 bytes each.
 
         Raises:
-            Invalid: Goals outside the bounds, of another shape or not finite; other ids.
+            Internal: Goals outside the bounds or not finite; `details["prediction"]` has them.
+            Invalid: Another shape, means or sigmas that are not finite, other ids.
         """
         shape = (*answer.states.shape[:-1], len(self._lows))
         if not answer.goals.shape == answer.means.shape == answer.sigmas.shape == shape:
             raise Invalid(f"goals, means and sigmas must have the shape {shape}")
         if not (self._has_one(answer) if len(shape) == 1 else self._has_all(answer)):
-            raise Invalid(self._complaint(answer.goals))
+            raise self._complaint(answer)
         if [one.bytes for one in answer.trial_ids] != ids:
             raise Invalid("it is about other trials than those that were asked about")
         return answer
@@ -60,13 +61,17 @@ class Goals:
         within = ((answer.goals >= self._low) & (answer.goals <= self._high)).all()
         return bool(within and np.isfinite(answer.means).all() and np.isfinite(answer.sigmas).all())
 
-    def _complaint(self, goals: Array) -> str:
+    def _complaint(self, answer: Prediction) -> CrkrError:
+        goals = answer.goals
         wrong = np.argwhere(~((goals >= self._low) & (goals <= self._high)))
         if not len(wrong):
-            return "its means and sigmas must be finite"
-        outside = wrong[0]
-        axis, given = self.spec.goal[outside[-1]], goals[tuple(outside)]
-        return f"goal {axis.name!r} must be in [{axis.low}, {axis.high}] {axis.unit}; got {given}: not to be tried"
+            return Invalid("its means and sigmas must be finite")
+        axis, given = self.spec.goal[wrong[0][-1]], goals[tuple(wrong[0])]
+        return Internal(
+            f"the server proposes a goal that is not to be tried: {axis.name!r} must be in [{axis.low}, {axis.high}] "
+            f"{axis.unit}; got {given}",
+            details={"prediction": answer},
+        )
 
 
 @final
@@ -83,7 +88,7 @@ class Belief:
             known = self._known = Goals(spec)
         try:
             return known.check(answer, ids)
-        except Invalid:
+        except (Internal, Invalid):
             return Goals(look(None)[0]).check(answer, ids)
 
 

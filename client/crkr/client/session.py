@@ -22,6 +22,7 @@ _logger = logging.getLogger(__name__)
 _OPEN_S: Final = 1.0
 _LEAVE_S: Final = 1.0
 _LOOK_S: Final = 0.5
+_LOOK_AGAIN_S: Final = 3.0
 
 
 class NotConnected(Exception):
@@ -88,6 +89,7 @@ class Session:
         self._guests: WeakSet[Guest] = WeakSet()
         self._in_vain = False
         self.obstacle: Obstacle | None = None
+        self._look_again = 0.0  # [s, monotonic]
 
     def open(self, deadline: float) -> zenoh.Session:
         """The open session.
@@ -154,8 +156,11 @@ class Session:
 
     def _look(self, patience_s: float) -> None:
         """Ends the waiting where another attempt cannot help: Zenoh would try until its time is over."""
-        if patience_s <= 0.0:
+        now = time.monotonic()
+        if patience_s <= 0.0 or now < self._look_again:
             return
+        if not self.connection.endpoint.startswith("tls/"):  # what is found there can end no waiting
+            self._look_again = now + _LOOK_AGAIN_S
         connection = self.connection
         self.obstacle = obstacle(connection.endpoint, connection.zenoh(1.0), min(_LOOK_S, patience_s))
         if self.obstacle is not None and self.obstacle.final:

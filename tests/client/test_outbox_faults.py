@@ -1,15 +1,19 @@
 """What an outbox does where servers, robots, links, disks and the outbox's own file fail."""
 
+import ctypes
+import json
 import signal
 import sqlite3
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from hashlib import blake2b
 from pathlib import Path
 from typing import Any
 from uuid import UUID, uuid4
 
+import msgpack
 import numpy as np
 import pytest
 from lobbing import put, specification, stored
@@ -103,6 +107,49 @@ def test_a_damaged_trial_is_put_aside_and_the_others_arrive(
         [damaged] = outbox.refused()
         assert (damaged.number, damaged.id, damaged.trial) == (2, None, {})
         assert damaged.error.startswith("STORAGE: trial 2 is damaged")
+
+
+def test_a_trial_of_a_version_before_that_no_server_can_read_is_put_aside_and_the_others_arrive(
+    task: Task, shared_endpoint: str, tmp_path: Path
+) -> None:
+    """It packed maps whose keys are not text, which it could not read again: everything behind them waited for ever."""
+    task.outbox(tmp_path / "box").close()
+    unreadable = {"id": uuid4().bytes, "state": [0.0, 0.0], "goal": [0.0, 0.0], "cost": 0.1, "success": True}
+    body = msgpack.packb({**unreadable, "kind": "trial", "info": {"torque": {0: 1.2}}})
+    with sqlite3.connect(tmp_path / "box") as database:
+        digest = blake2b(body, digest_size=16).digest()
+        database.execute("INSERT INTO trial (body, digest) VALUES (?, ?)", (body, digest))
+    database.close()
+    with task.outbox(tmp_path / "box") as outbox:
+        ids = put(outbox, 3)
+        outbox.flush(PATIENCE_S)
+        assert stored(task) == ids
+        assert "in use already" in looked_at(shared_endpoint, tmp_path / "box")
+    assert "1 were put aside, the first for STORAGE: trial 1" in looked_at(shared_endpoint, tmp_path / "box")
+    with task.outbox(tmp_path / "box") as outbox:
+        [refused] = outbox.refused()
+        assert refused.trial["info"] == {"torque": {0: 1.2}}
+        outbox.discard([refused])
+        assert (outbox.pending, outbox.refused()) == (0, [])
+
+
+def looked_at(endpoint: str, path: Path) -> str:
+    """What `crkr doctor` says of an outbox."""
+    command = [sys.executable, "-m", "crkr.client", "doctor", "--connect", endpoint, "--outbox", str(path), "--json"]
+    done = subprocess.run(command, stdout=subprocess.PIPE, timeout=60, check=False)
+    [detail] = [check["detail"] for check in json.loads(done.stdout)["checks"] if check["check"] == "outbox"]
+    return str(detail)
+
+
+def test_whatever_is_raised_in_its_thread_is_told_and_it_goes_on(task: Task, tmp_path: Path, processes: Any) -> None:
+    with task.outbox(tmp_path / "box") as outbox:
+        for count, raised in enumerate((MemoryError, SystemExit, type("Panic", (BaseException,), {})), start=1):
+            identity = ctypes.c_ulong(outbox._thread.ident or 0)
+            assert ctypes.pythonapi.PyThreadState_SetAsyncExc(identity, ctypes.py_object(raised)) == 1
+            put(outbox, 1, count)
+            processes.wait_until(lambda count=count: outbox.defects == count)
+            outbox.flush(PATIENCE_S)
+        assert "defects=3" in repr(outbox)
 
 
 def test_another_task_of_the_same_name_is_given_nothing(

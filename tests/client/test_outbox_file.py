@@ -5,14 +5,16 @@ import re
 import sqlite3
 import subprocess
 import sys
+from hashlib import blake2b
 from pathlib import Path
 from typing import Any
 
+import msgpack
 import numpy as np
 import pytest
 
 from crkr.client.outbox_file import OutboxFile
-from crkr.protocol import Conflict, StorageError, TaskSpec, Trial, Unavailable, make_trials, pack
+from crkr.protocol import Conflict, Invalid, StorageError, TaskSpec, Trial, Unavailable, make_trials, pack
 
 SPEC = TaskSpec.from_dict(
     {"name": "lob", "state": [{"name": "x", "low": 0, "high": 1}], "goal": [{"name": "g", "low": -1, "high": 1}]}
@@ -149,6 +151,92 @@ def test_a_damaged_trial_is_told_from_the_others(tmp_path: Path, what: str) -> N
     file.refuse(2, "STORAGE: damaged")
     [refused] = file.refused()
     assert (refused.number, refused.id, refused.trial) == (2, None, {})
+    file.close()
+
+
+def nested(depth: int) -> Any:
+    return [nested(depth - 1)] if depth else 1
+
+
+@pytest.mark.parametrize(
+    "info",
+    [
+        {"torque": {0: 1.2, 1: 0.3}},
+        {"torque": {None: 1}},
+        {"torque": {(1, 2): 1}},
+        {"deep": nested(70)},
+    ],
+)
+def test_what_would_not_be_read_back_is_refused_and_nothing_is_kept(tmp_path: Path, info: dict[str, Any]) -> None:
+    file = OutboxFile(tmp_path / "box", "lob")
+    file.describe(SPEC)
+    with pytest.raises(Invalid, match="info"):
+        file.add((*trials(2), *made(info)))
+    assert file.pending() == 0
+    file.close()
+
+
+def made(info: dict[str, Any]) -> tuple[Trial, ...]:
+    return make_trials(SPEC, state=np.zeros((1, 1)), goal=np.zeros((1, 1)), cost=0.5, success=True, info=info)
+
+
+def unchecked(path: Path, body: bytes) -> None:
+    """Adds a row as the version before did, which checked no more than that it can be packed."""
+    with sqlite3.connect(path) as database:
+        digest = blake2b(body, digest_size=16).digest()
+        database.execute("INSERT INTO trial (body, digest) VALUES (?, ?)", (body, digest))
+    database.close()
+
+
+def test_a_row_that_a_version_before_kept_and_nobody_can_read_is_told_from_the_others(tmp_path: Path) -> None:
+    path = tmp_path / "box"
+    file = OutboxFile(path, "lob")
+    file.describe(SPEC)
+    first, second = trials(2)
+    file.add([first])
+    file.close()
+    message = {**second.to_wire(), "id": second.id.bytes, "state": [0.0], "goal": [0.0], "info": {"torque": {0: 1.5}}}
+    unchecked(path, msgpack.packb(message))
+    unchecked(path, b"\x93")
+    file = OutboxFile(path, "lob")
+    assert [trial is None for _, trial in file.next(10)] == [False, True, True]
+    assert "text keys" in file.why_unreadable(2)
+    for number in (2, 3):
+        file.refuse(number, f"STORAGE: {file.why_unreadable(number)}")
+    told = file.refused()
+    assert [(one.id, one.trial.get("info")) for one in told] == [(second.id, {"torque": {0: 1.5}}), (None, None)]
+    file.discard([2, 3])
+    assert (numbers(file), file.refused()) == ([1], [])
+    file.close()
+
+
+def test_a_specification_with_settings_that_are_refused_today_still_opens(tmp_path: Path) -> None:
+    path = tmp_path / "box"
+    file = OutboxFile(path, "lob")
+    file.describe(SPEC)
+    file.close()
+    with sqlite3.connect(path) as database:
+        database.execute("UPDATE about SET spec = ?", (pack({**SPEC.to_dict(), "budget": -1}),))
+    database.close()
+    file = OutboxFile(path, "lob")
+    assert file.spec is not None
+    assert (file.spec.state, file.spec.goal) == (SPEC.state, SPEC.goal)
+    file.close()
+
+
+def test_damaged_text_in_the_file_is_told_and_stops_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "box"
+    file = OutboxFile(path, "lob")
+    file.add(trials(3))
+    file.refuse(1, "INVALID: no")
+    file.close()
+    with sqlite3.connect(path) as database:
+        database.execute("UPDATE trial SET error = CAST(x'ff41' AS TEXT) WHERE number = 1")
+        database.execute("UPDATE trial SET body = CAST(x'ff41' AS TEXT) WHERE number = 2")
+    database.close()
+    file = OutboxFile(path, "lob")
+    assert [trial is None for _, trial in file.next(10)] == [True, False]
+    assert [one.error[-1] for one in file.refused()] == ["A"]
     file.close()
 
 

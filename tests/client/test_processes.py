@@ -222,6 +222,22 @@ outbox.close(); mirror.close()
     assert out.splitlines() == ["connected", *["Unavailable True"] * 8]
 
 
+@pytest.mark.parametrize("after", ["client.close()", "outbox.close(); mirror.close(); client.close()"])
+def test_a_fork_after_close_is_told_clearly_and_ends_at_once(shared_endpoint: str, after: str) -> None:
+    """Zenoh's threads outlive a session, so that a child cannot open another one either."""
+    inside = """
+    del client, mirror, outbox, task
+    try:
+        Client(sys.argv[1]).info()
+    except Exception as error:
+        print(type(error).__name__, "spawn" in str(error), flush=True)
+"""
+    program = f"{after}\n" + FORK.format(inside.strip()).replace("client.info()\n", "")
+    code, out, err = finish(robot(program, shared_endpoint))
+    assert (code, err) == (7, "")
+    assert out.splitlines() == ["connected", "Unavailable True"]
+
+
 def test_importing_the_client_brings_neither_mathematics_nor_the_command() -> None:
     program = (
         "import sys; from crkr.client import Client; "

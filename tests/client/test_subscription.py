@@ -69,6 +69,34 @@ def test_what_cannot_be_read_is_skipped(make_peer: MakePeer) -> None:
         assert read_until(subscription, 3) == [("trial", {"number": 3})]
 
 
+@pytest.mark.parametrize("depth", [65, 400, 1000])
+def test_a_publication_that_is_nested_deep_is_skipped_and_counted(make_peer: MakePeer, depth: int) -> None:
+    peer = make_peer([{}])
+    with Client(peer.endpoint) as client, connected(client, peer) as subscription:
+        publish(peer.session, "trial", b"\x81\xa1a" + b"\x91" * depth + b"\xc0")
+        publish(peer.session, "trial", {"number": 3})
+        assert read_until(subscription, 3) == [("trial", {"number": 3})]
+        assert subscription.skipped == 1
+
+
+def test_a_publication_beyond_the_limit_of_telemetry_is_skipped(make_peer: MakePeer) -> None:
+    peer = make_peer([{}])
+    with Client(peer.endpoint) as client, connected(client, peer) as subscription:
+        publish(peer.session, "trial", {"number": 1, "picture": bytes(MAX_TELEMETRY_BYTES)})
+        publish(peer.session, "trial", {"number": 3})
+        assert read_until(subscription, 3) == [("trial", {"number": 3})]
+
+
+def test_a_reader_who_is_away_holds_a_bounded_amount_of_bytes(make_peer: MakePeer) -> None:
+    peer = make_peer([{}])
+    with Client(peer.endpoint) as client, connected(client, peer) as subscription:
+        for number in range(24):
+            publish(peer.session, "model", {"number": number, "ids": bytes(4_000_000)})
+        while subscription.dropped < 8:  # its thread takes them meanwhile
+            client.info()
+        assert [message["number"] for _, message in read_until(subscription, 23)] == list(range(8, 24))
+
+
 def test_a_slow_reader_keeps_the_newest_and_knows_what_it_lost(make_peer: MakePeer) -> None:
     peer = make_peer([{}])
     with (

@@ -11,13 +11,14 @@ from typing import Any, Final, final
 
 import zenoh
 
+from crkr.client.diagnosis import EXAMPLE, fault_in
 from crkr.protocol import Invalid
 from crkr.protocol.zenoh_files import named_files
 
 __all__ = ["DEFAULT_ENDPOINT", "Connection"]
 
-DEFAULT_ENDPOINT: Final = "tcp/127.0.0.1:7447"
-_ENDPOINT: Final = re.compile(r"[a-z0-9-]+/\S+")
+DEFAULT_ENDPOINT: Final = EXAMPLE
+_VARIABLE: Final = "CRKR_CONNECT"
 _LEASE_MS: Final = 2000  # a silent partition is noticed after this; Zenoh's own default is 10 s
 _ZENOH_LEASE_MS: Final = 10_000
 # Bus discovery would find other people's servers; shared memory leaks segments when processes are killed.
@@ -47,14 +48,17 @@ class Connection:
         """The endpoint given, else $CRKR_CONNECT, else the file's first, else the default.
 
         Raises:
-            Invalid: The endpoint is not of the form protocol/address, or the file cannot be read.
+            Invalid: The endpoint is not of the form protocol/host:port, or the file cannot be read.
         """
-        chosen = endpoint or os.environ.get("CRKR_CONNECT") or None
+        variable = os.environ.get(_VARIABLE) or None
+        chosen, named = endpoint or variable, "the endpoint"
+        if chosen == variable:  # also where a command took it from there
+            named = f"the endpoint in {_VARIABLE}"
         if chosen is None and zenoh_config is not None:
-            chosen = _first_endpoint(_load(zenoh_config))
+            chosen, named = _first_endpoint(_load(zenoh_config)), f"the endpoint in {zenoh_config}"
         chosen = chosen or DEFAULT_ENDPOINT
-        if _ENDPOINT.fullmatch(chosen) is None:
-            raise Invalid(f"an endpoint looks like {DEFAULT_ENDPOINT!r}, protocol/address; got {chosen!r}")
+        if fault := fault_in(chosen):
+            raise Invalid(f"{named} is {chosen!r:.200}: {fault}; one looks like {DEFAULT_ENDPOINT!r}")
         connection = cls(chosen, zenoh_config)
         connection.zenoh(1.0)
         return connection

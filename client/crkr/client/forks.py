@@ -9,14 +9,16 @@ from __future__ import annotations
 
 import ctypes
 import os
+from contextlib import suppress
 from typing import Final
 from weakref import WeakKeyDictionary
 
 from crkr.protocol import Unavailable
 
-__all__ = ["check_not_forked", "hold", "is_forked", "release"]
+__all__ = ["check_not_forked", "hold", "is_forked", "leave_in_child", "release", "stay"]
 
 _held: Final[WeakKeyDictionary[object, object]] = WeakKeyDictionary()
+_locked: Final[set[int]] = set()  # open files
 
 
 class _Process:
@@ -37,6 +39,16 @@ def release(owner: object) -> None:
     _held.pop(owner, None)
 
 
+def leave_in_child(file: int) -> None:
+    """Has a child close an open file, so that a lock on it ends with this process and not with the child."""
+    _locked.add(file)
+
+
+def stay(file: int) -> None:
+    """Takes `leave_in_child` back."""
+    _locked.discard(file)
+
+
 def is_forked() -> bool:
     """Whether this process was forked from one that held such a thing."""
     return _Process.inherited
@@ -52,6 +64,10 @@ def check_not_forked() -> None:
 
 
 def _in_child() -> None:
+    for file in _locked:
+        with suppress(OSError):
+            os.close(file)
+    _locked.clear()
     _Process.inherited = _Process.inherited or _Process.holds
     for resource in list(_held.values()):
         ctypes.pythonapi.Py_IncRef(ctypes.py_object(resource))  # never freed, on purpose

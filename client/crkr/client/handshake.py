@@ -22,7 +22,7 @@ import zenoh
 
 from crkr.client.daemons import Daemons
 
-__all__ = ["certificate_end", "refusal"]
+__all__ = ["certificate_end", "connection_to", "refusal"]
 
 _ADDRESS: Final = re.compile(r"(tls|tcp)/\[?([^\]?#]+?)\]?:(\d+)(?:[?#].*)?")
 _ALERT_S: Final = 0.1  # beyond the way, for a server that is busy
@@ -80,7 +80,7 @@ def refusal(endpoint: str, config: zenoh.Config, patience_s: float) -> str | Non
     except (OSError, ValueError) as error:
         return f"the certificate {identity.certificate} or its key cannot be used: {_words(error)}"
     try:
-        with _connection(host, int(port), deadline) as connection:
+        with connection_to(host, int(port), deadline) as connection:
             _shake_hands(connection, context, host, deadline)
     except ssl.SSLError as error:
         return _reason(error, identity, host) if protocol == "tls" else _mixed_up(error)
@@ -97,7 +97,7 @@ def certificate_end(endpoint: str, config: zenoh.Config, patience_s: float) -> d
     try:
         context = _context(_Identity.of(config))
         with (
-            _connection(parts[2], int(parts[3]), time.monotonic() + patience_s) as connection,
+            connection_to(parts[2], int(parts[3]), time.monotonic() + patience_s) as connection,
             context.wrap_socket(connection, server_hostname=parts[2]) as secured,
         ):
             found: Any = secured.getpeercert()
@@ -118,13 +118,23 @@ def _context(identity: _Identity) -> ssl.SSLContext:
     return context
 
 
-def _connection(host: str, port: int, deadline: float) -> socket.socket:
-    """By the deadline, which nothing sets the system where it looks a name up: hence on a thread of its own."""
+def connection_to(host: str, port: int, deadline: float, kind: socket.SocketKind = socket.SOCK_STREAM) -> socket.socket:
+    """A connection by the deadline, which the system's look-up of names does not know: hence on a thread of its own.
+
+    Raises:
+        OSError: There is none; `socket.gaierror` where the host has no address.
+    """
     threads = Daemons("crkr-names")
-    looked_up = threads.submit(partial(socket.getaddrinfo, host, port, type=socket.SOCK_STREAM))
+    looked_up = threads.submit(partial(socket.getaddrinfo, host, port, type=kind))
     threads.close()
+    try:
+        addresses = looked_up.result(max(0.001, deadline - time.monotonic()))
+    except TimeoutError as error:
+        raise socket.gaierror(socket.EAI_AGAIN, "the name server does not answer") from error
     failure = OSError(f"{host} has no address")
-    for *_, address in looked_up.result(max(0.001, deadline - time.monotonic())):
+    for family, *_, address in addresses:
+        if kind == socket.SOCK_DGRAM:
+            return socket.socket(family, kind)
         try:
             return socket.create_connection((str(address[0]), port), timeout=max(0.001, deadline - time.monotonic()))
         except OSError as error:

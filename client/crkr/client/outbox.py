@@ -15,14 +15,16 @@ from typing import Any, Final, final
 from uuid import UUID
 
 from crkr.client.forks import check_not_forked, is_forked
+from crkr.client.goals import check_receipt
 from crkr.client.outbox_file import OutboxFile, Refused
-from crkr.client.rpc import Rpc, positive
+from crkr.client.rpc import Rpc, positive, reading
 from crkr.protocol import (
     Conflict,
     CrkrError,
     Internal,
     Invalid,
     Prediction,
+    Receipt,
     TaskSpec,
     Unavailable,
     make_trials,
@@ -85,6 +87,7 @@ class Outbox:
         self._changed = threading.Condition()
         self._closing = threading.Event()
         self._fault: CrkrError | None = None
+        self._defects = 0
         self._thread = threading.Thread(target=self._deliver, name=f"crkr-outbox-{task}", daemon=True)
         self._thread.start()
 
@@ -98,8 +101,13 @@ class Outbox:
         """Why the last message was not delivered; None: it was."""
         return self._fault
 
+    @property
+    def defects(self) -> int:
+        """Attempts to deliver that failed by no error of the protocol, but by a defect or for want of memory."""
+        return self._defects
+
     def refused(self) -> list[Refused]:
-        """Trials that the server does not take (`Invalid`, `Conflict`), or that were damaged; they stay in the file."""
+        """Trials that the server refused (`Invalid`, `Conflict`) or that cannot be read; they stay in the file."""
         return self._file.refused()
 
     def discard(self, refused: Sequence[Refused]) -> None:
@@ -189,7 +197,8 @@ class Outbox:
 
     def __repr__(self) -> str:
         fault = self._fault.code if self._fault is not None else None
-        return f"Outbox({str(self.path)!r}, task={self._task!r}, pending={self._pending}, fault={fault})"
+        defects = f", defects={self._defects}" if self._defects else ""
+        return f"Outbox({str(self.path)!r}, task={self._task!r}, pending={self._pending}, fault={fault}{defects})"
 
     def __enter__(self) -> Outbox:
         return self
@@ -200,24 +209,32 @@ class Outbox:
         self.close()
 
     def _deliver(self) -> None:
-        pause = 0.0
-        while not self._closing.wait(pause):
-            with self._changed:
-                self._changed.wait_for(lambda: self._pending or self._closing.is_set())
-            if self._closing.is_set():
-                return
+        pause, over = 0.0, False
+        while not over:
             try:
-                self._send_next()
-            except Exception as error:  # whatever it is, the trials are in the file, and the next attempt may do better
-                if self._closing.is_set():
-                    return
-                self._note(error)
-                pause = min(max(2.0 * pause, _FIRST_PAUSE_S), _LONGEST_PAUSE_S)
-            else:
+                over = self._closing.wait(pause) or self._deliver_once()
                 pause = 0.0
+            except BaseException as error:  # whatever it is, the trials are in the file; the next attempt may do better
+                over = self._closing.is_set()
+                if not over:
+                    self._note(error)
+                pause = min(max(2.0 * pause, _FIRST_PAUSE_S), _LONGEST_PAUSE_S)
 
-    def _note(self, error: Exception) -> None:
-        known = error if isinstance(error, CrkrError) else Internal(f"the outbox {self.path} failed: {error!r}")
+    def _deliver_once(self) -> bool:
+        """Waits for trials and sends some; whether the outbox was closed."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._pending or self._closing.is_set())
+        if self._closing.is_set():
+            return True
+        self._send_next()
+        return False
+
+    def _note(self, error: BaseException) -> None:
+        if isinstance(error, CrkrError):
+            known = error
+        else:
+            self._defects += 1
+            known = Internal(f"the outbox {self.path} failed: {error!r:.500}")
         if self._fault is None:
             _logger.info("%d trials wait in %s: %s", self._pending, self.path, known.message)
         self._fault, self._server = known, None
@@ -227,7 +244,7 @@ class Outbox:
         rows = self._file.next(self._most)
         whole = [(number, trial) for number, trial in rows if trial is not None]
         for number in {number for number, _ in rows} - {number for number, _ in whole}:
-            self._put_aside(number, f"STORAGE: trial {number} is damaged in {self.path}: it does not match its digest")
+            self._put_aside(number, f"STORAGE: {self._file.why_unreadable(number)}")
         if whole:
             try:
                 self._send(whole)
@@ -247,7 +264,10 @@ class Outbox:
     def _send(self, rows: list[tuple[int, dict[str, Any]]]) -> None:
         """Sends trials together; where one of them is refused, by halves, until it is found."""
         try:
-            self._rpc.call(task_key(self._task, "report"), {"trials": [trial for _, trial in rows]}, _ATTEMPT_S)
+            message = {"trials": [trial for _, trial in rows]}
+            reply = self._rpc.call(task_key(self._task, "report"), message, _ATTEMPT_S)
+            with reading("report"):
+                check_receipt(Receipt.from_wire(reply), len(rows))
         except (Invalid, Conflict) as error:
             if len(rows) > 1:
                 middle = len(rows) // 2

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from types import TracebackType
 from typing import Any, Final, final
 from uuid import UUID
@@ -11,6 +12,7 @@ from uuid import UUID
 from crkr.client.transport import Transport
 from crkr.protocol import CrkrError, Internal, Invalid, array_from_wire, id_from_wire, pack, rpc_key, unpack
 from crkr.protocol.checks import entries, integer
+from crkr.protocol.codec import MAX_DEPTH
 
 __all__ = ["Rpc", "plain", "positive", "reading"]
 
@@ -49,7 +51,7 @@ class Rpc:
         patient = verb in _PATIENT or message.get("wait") is True
         reply = self.exchange(key, verb, pack(message), timeout_s, patient=patient, optional=optional)
         with reading(verb):
-            return unpack(reply)
+            return unpack(reply, depth=None)  # it may hold what was stored before there was a limit
 
     def exchange(
         self,
@@ -75,7 +77,8 @@ class Rpc:
         try:
             return self.transport.query(key, verb, payload, deadline, patient=patient, optional=optional)
         except CrkrError as error:
-            error.details = plain(error.details)
+            with suppress(Invalid):  # details that cannot be read stay as they came
+                error.details = plain(error.details)
             raise
 
     def task_page(self, after: int, timeout_s: float | None) -> tuple[list[Any], int | None]:
@@ -121,18 +124,20 @@ class reading:  # noqa: N801 - it reads as a phrase, `with reading(verb):`
             raise Internal(f"the server's answer to {self._verb} cannot be read: {error}") from error
 
 
-def plain(value: Any) -> Any:
+def plain(value: Any, depth: int = MAX_DEPTH) -> Any:
     """A decoded message with its array maps as arrays and its ids as UUIDs, all the way down.
 
     Raises:
-        Invalid: An array map whose bytes and shape disagree.
+        Invalid: An array map whose bytes and shape disagree; more than `depth` maps and lists in each other.
     """
+    if depth < 0:
+        raise Invalid(f"a message is nested more than {MAX_DEPTH} deep")
     if isinstance(value, Mapping):
         if value.keys() >= {"shape", "dtype", "data"}:
             return array_from_wire(value, "array")
-        return {key: plain(entry) for key, entry in value.items()}
+        return {key: plain(entry, depth - 1) for key, entry in value.items()}
     if isinstance(value, list):
-        return [plain(entry) for entry in value]
+        return [plain(entry, depth - 1) for entry in value]
     return UUID(bytes=value) if isinstance(value, bytes) and len(value) == 16 else value
 
 

@@ -12,6 +12,7 @@ from weakref import WeakSet
 import zenoh
 
 from crkr.client.config import Connection, brief
+from crkr.client.diagnosis import Obstacle, obstacle
 from crkr.client.forks import check_not_forked, hold, is_forked, release
 from crkr.protocol import CrkrError, Unavailable
 
@@ -20,7 +21,8 @@ __all__ = ["Guest", "Inside", "NotConnected", "Session"]
 _logger = logging.getLogger(__name__)
 _OPEN_S: Final = 1.0
 _LEAVE_S: Final = 1.0
-_HANDSHAKE_S: Final = 0.5
+_LOOK_S: Final = 0.5
+_LOOK_AGAIN_S: Final = 3.0
 
 
 class NotConnected(Exception):
@@ -74,6 +76,7 @@ class Session:
     Attributes:
         connection: Where it leads.
         inside: To be entered for each call of Zenoh that waits.
+        obstacle: What was found in the way of the last attempt to connect.
     """
 
     def __init__(self, connection: Connection) -> None:
@@ -85,6 +88,8 @@ class Session:
         self._closed = threading.Event()
         self._guests: WeakSet[Guest] = WeakSet()
         self._in_vain = False
+        self.obstacle: Obstacle | None = None
+        self._look_again = 0.0  # [s, monotonic]
 
     def open(self, deadline: float) -> zenoh.Session:
         """The open session.
@@ -136,27 +141,30 @@ class Session:
 
     def _connect(self, deadline: float) -> zenoh.Session:
         if self._in_vain:
-            self._check_certificates(0.5 * (deadline - time.monotonic()))
+            self._look(0.5 * (deadline - time.monotonic()))
         patience = min(_OPEN_S, max(0.001, deadline - time.monotonic()))
         try:
             session = zenoh.open(self.connection.zenoh(patience))
         except zenoh.ZError as error:
             self._in_vain = True
             raise NotConnected(f"cannot connect: {brief(error)}") from error
+        self.obstacle = None
         self._finalizer = weakref.finalize(self, _close, session, self._guests, self.inside)
         hold(self, session)
         _logger.debug("connected to %s", self.connection.endpoint)
         return session
 
-    def _check_certificates(self, patience_s: float) -> None:
+    def _look(self, patience_s: float) -> None:
         """Ends the waiting where another attempt cannot help: Zenoh would try until its time is over."""
-        if not self.connection.endpoint.startswith("tls/") or patience_s <= 0.0:
+        now = time.monotonic()
+        if patience_s <= 0.0 or now < self._look_again:
             return
-        from crkr.client.handshake import refusal  # few need it
-
-        found = refusal(self.connection.endpoint, self.connection.zenoh(1.0), min(_HANDSHAKE_S, patience_s))
-        if found is not None:
-            endpoint = self.connection.endpoint
+        if not self.connection.endpoint.startswith("tls/"):  # what is found there can end no waiting
+            self._look_again = now + _LOOK_AGAIN_S
+        connection = self.connection
+        self.obstacle = obstacle(connection.endpoint, connection.zenoh(1.0), min(_LOOK_S, patience_s))
+        if self.obstacle is not None and self.obstacle.final:
+            endpoint, found = connection.endpoint, self.obstacle.what
             raise Unavailable(f"no connection to {endpoint}: {found}", details={"endpoint": endpoint, "refusal": found})
 
     def _check(self) -> None:

@@ -15,12 +15,22 @@ import zenoh
 
 from crkr.client.forks import hold, is_forked, release
 from crkr.client.rpc import plain
-from crkr.protocol import MAX_TELEMETRY_BYTES, CrkrError, Invalid, check_encoding, pub_key, unpack
+from crkr.protocol import (
+    MAX_MESSAGE_BYTES,
+    MAX_TELEMETRY_BYTES,
+    CrkrError,
+    Invalid,
+    check_encoding,
+    pub_key,
+    unpack,
+)
 
 __all__ = ["TOPICS", "Subscription"]
 
 _logger = logging.getLogger(__name__)
 _JOIN_S: Final = 2.0
+_REST_S: Final = 0.05  # after a defect, which may come again at once
+_MOST_BYTES: Final = 64 << 20  # of publications that wait for the reader
 TOPICS: Final = ("trial", "evaluation", "model")
 
 
@@ -29,41 +39,60 @@ class _Buffer:
     """What a thread of its own has taken from Zenoh, so that Zenoh's threads never wait for the reader."""
 
     def __init__(self, capacity: int) -> None:
-        self.messages: deque[tuple[str, bytes]] = deque(maxlen=capacity)
+        self.messages: deque[tuple[str, bytes]] = deque()
         self.dropped = 0
+        self.skipped = 0
         self.closed = False
         self.changed = threading.Condition()
+        self._capacity, self._bytes = capacity, 0
 
     def fill(self, samples: zenoh.handlers.Handler[zenoh.Sample], topics: Sequence[str]) -> None:
-        """Takes samples until the subscriber is gone."""
+        """Takes samples until the subscriber is gone; one that cannot be taken is counted, whatever it raises."""
+        pause = threading.Event()
         try:
-            for sample in samples:
-                self._take(sample, topics)
+            while True:
+                try:
+                    self._take(samples.recv(), topics)
+                except zenoh.ZError:  # the subscriber is gone
+                    return
+                except BaseException as error:  # a panic of the binding is no Exception
+                    self.skip("?", error)
+                    pause.wait(_REST_S)
         finally:
             with self.changed:
                 self.closed = True
                 self.changed.notify_all()
 
-    def _take(self, sample: zenoh.Sample, topics: Sequence[str]) -> None:
-        try:
-            topic = str(sample.key_expr).rpartition("/")[2]
-            if topic in topics:
-                self._put(topic, sample)
-        except BaseException as error:  # a binding's panic too: the next publication may be well
-            _logger.warning("skipped a publication: %s: %s", type(error).__name__, error)
+    def pop(self) -> tuple[str, bytes]:
+        """The oldest; to be called with `changed` held."""
+        topic, data = self.messages.popleft()
+        self._bytes -= len(data)
+        return topic, data
 
-    def _put(self, topic: str, sample: zenoh.Sample) -> None:
+    def skip(self, topic: str, error: BaseException) -> None:
+        """Counts a publication that cannot be read."""
+        self.skipped += 1
+        _logger.debug("skipped a publication on %s: %s", topic, error)
+
+    def _take(self, sample: zenoh.Sample, topics: Sequence[str]) -> None:
+        topic = str(sample.key_expr).rpartition("/")[2]
+        if topic not in topics:
+            return
         try:
             check_encoding(str(sample.encoding))
+            most = MAX_MESSAGE_BYTES if topic == "model" else MAX_TELEMETRY_BYTES
+            if len(sample.payload) > most:
+                raise Invalid(f"it has {len(sample.payload)} bytes; the limit is {most}")
         except CrkrError as error:
-            _logger.debug("skipped a publication on %s: %s", topic, error)
+            self.skip(topic, error)
             return
-        if len(sample.payload) > MAX_TELEMETRY_BYTES:
-            _logger.debug("skipped a publication on %s of %d bytes", topic, len(sample.payload))
-            return
+        data = sample.payload.to_bytes()
         with self.changed:
-            self.dropped += len(self.messages) == self.messages.maxlen
-            self.messages.append((topic, sample.payload.to_bytes()))
+            self.messages.append((topic, data))
+            self._bytes += len(data)
+            while len(self.messages) > self._capacity or (self._bytes > _MOST_BYTES and len(self.messages) > 1):
+                self.pop()
+                self.dropped += 1
             self.changed.notify()
 
 
@@ -93,6 +122,11 @@ class Subscription:
         return self._buffer.dropped
 
     @property
+    def skipped(self) -> int:
+        """Publications that could not be read: anyone may publish anything, unless access control says otherwise."""
+        return self._buffer.skipped
+
+    @property
     def closed(self) -> bool:
         """Nothing more will come."""
         return self._buffer.closed
@@ -107,11 +141,11 @@ class Subscription:
                 )
                 if not buffer.messages:
                     return None
-                topic, data = buffer.messages.popleft()
+                topic, data = buffer.pop()
             try:
                 return topic, plain(unpack(data))
-            except Invalid as error:
-                _logger.debug("skipped a publication on %s: %s", topic, error)
+            except (CrkrError, RecursionError, ValueError, TypeError) as error:
+                buffer.skip(topic, error)
 
     def close(self) -> None:
         """Ends the subscription; a `receive` in progress returns."""

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 from uuid import UUID
 
+from crkr.client.goals import Belief, check_receipt
 from crkr.client.outbox import Outbox
 from crkr.client.prediction import ask, ask_in_parts
 from crkr.client.presence import Presence
@@ -61,6 +62,7 @@ class Task:
         self.created: Final = created
         self._rpc = rpc
         self._spec: TaskSpec | None = None
+        self._belief = Belief()
 
     @property
     def spec(self) -> TaskSpec:
@@ -104,18 +106,25 @@ class Task:
         message = request.to_wire()
         if "trial_ids" not in message:  # a retry must be the same question, so that it gets the same draw
             message["trial_ids"] = random_ids(request.count)
+        ids = [getattr(one, "bytes", one) for one in message["trial_ids"]]  # UUIDs, or bytes that were made here
         if request.count > (most := most_states(spec)):
-            return ask_in_parts(self._rpc, self.name, request.states, message, most, timeout_s)
-        return ask(self._rpc, self.name, request.states, message, timeout_s)
+            answer = ask_in_parts(self._rpc, self.name, request.states, message, most, timeout_s)
+        else:
+            answer = ask(self._rpc, self.name, request.states, message, timeout_s)
+        with reading("predict"):
+            return self._belief.check(self.spec, self._look, answer, ids)
 
     def _predict_one(self, state: Array, explore: object, worker: object, timeout_s: float | None) -> Prediction:
         """The commonest question, without a map on the way there and back."""
         named = None if worker is None else text(worker, "worker", longest=128)
-        payload = packed_question(state, flag(explore, "explore"), random_ids(1)[0], named)
+        identity = random_ids(1)[0]
+        payload = packed_question(state, flag(explore, "explore"), identity, named)
         reply = self._rpc.exchange(task_key(self.name, "predict"), "predict", payload, timeout_s)
         with reading("predict"):
             answer = read_answer(reply, state, len(self.spec.goal))
-            return Prediction.from_wire(unpack(reply), state) if answer is None else answer
+            if answer is None:
+                answer = Prediction.from_wire(unpack(reply), state)
+            return self._belief.check(self.spec, self._look, answer, [identity])
 
     def report(
         self,
@@ -178,7 +187,7 @@ class Task:
         message = ReportRequest(tuple(trials), wait).to_wire()
         reply = self._rpc.call(task_key(self.name, "report"), message, timeout_s)
         with reading("report"):
-            return Receipt.from_wire(reply)
+            return check_receipt(Receipt.from_wire(reply), len(trials))
 
     def status(self, *, timeout_s: float | None = None) -> dict[str, Any]:
         """Counts, versions, workers, queues and latencies, as the server sees them."""

@@ -18,7 +18,9 @@ from typing import Final, final
 import zenoh
 
 from crkr.client.config import Connection, brief
+from crkr.client.diagnosis import silence_of
 from crkr.client.session import NotConnected, Session
+from crkr.client.trust import EVERYONE, NotTheServer, Trust
 from crkr.protocol import (
     MAX_MESSAGE_BYTES,
     Busy,
@@ -40,7 +42,7 @@ _FIRST_ATTEMPT_S: Final = 0.5
 _LATER_ATTEMPT_S: Final = 1.0
 _FIRST_PAUSE_S: Final = 0.02
 _LONGEST_PAUSE_S: Final = 0.25
-_UNSERVED: Final = "connected, but nobody serves this key, or the server's access control denies it to this client"
+_LOOK_AGAIN_S: Final = 1.0
 
 
 class _Unanswered(Exception):
@@ -62,11 +64,18 @@ class Transport:
 
     def __init__(self, connection: Connection) -> None:
         self.session: Final = Session(connection)
+        self._trust = Trust()
+        self._found: tuple[float, str] | None = None
 
     @property
     def endpoint(self) -> str:
         """Where the server is."""
         return self.session.connection.endpoint
+
+    @property
+    def strangers(self) -> int:
+        """Answers that were ignored, as they came from another client and not from the server."""
+        return self._trust.strangers
 
     def query(
         self, key: str, kind: str, payload: bytes, deadline: float, *, patient: bool = False, optional: bool = False
@@ -98,18 +107,16 @@ class Transport:
                 raise self._unavailable(key, time.monotonic() - started, attempt, reason)
             limit = remaining if patient else _LATER_ATTEMPT_S if attempt else _FIRST_ATTEMPT_S
             try:
-                return self._attempt(key, kind, payload, min(limit, remaining))
+                return self._attempt(key, kind, payload, min(limit, remaining), optional)
             except _Unanswered as unanswered:
                 reason = unanswered.reason
-                if optional and reason == _UNSERVED:
-                    raise Unsupported(f"{self.endpoint} does not serve {key} to this client") from unanswered
                 pause = _pause(attempt) if unanswered.pause_s is None else unanswered.pause_s
                 if attempt == 0:
                     _logger.info("%s at %s: %s; trying again", key, self.endpoint, reason)
                 self.session.pause(min(pause, max(0.0, deadline - time.monotonic())))
             attempt += 1
 
-    def _attempt(self, key: str, kind: str, payload: bytes, timeout_s: float) -> bytes:
+    def _attempt(self, key: str, kind: str, payload: bytes, timeout_s: float, optional: bool) -> bytes:
         try:
             session = self.session.open(time.monotonic() + timeout_s)
             with self.session.inside:
@@ -119,23 +126,35 @@ class Transport:
                     payload=payload,
                     encoding=encoding(kind),
                     consolidation=zenoh.ConsolidationMode.NONE,  # hands over the reply without waiting for the end
+                    target=EVERYONE,
                     timeout=timeout_s,
                 )
-                reply = replies.recv()
+                reply = self._trust.pick(session, replies)
         except NotConnected as error:
             raise _Unanswered(str(error)) from error
+        except NotTheServer as error:
+            raise _Unanswered(f"connected, but {error}") from error
         except zenoh.ZError as error:
-            raise _Unanswered(self._silence(session, error)) from error
+            if optional and _nobody_serves(session, error):
+                raise Unsupported(f"{self.endpoint} does not serve {key} to this client") from error
+            raise _Unanswered(self._silence(session, error, timeout_s)) from error
         return _open_reply(reply, key)
 
-    def _silence(self, session: zenoh.Session, error: zenoh.ZError) -> str:
+    def _silence(self, session: zenoh.Session, error: zenoh.ZError, patience_s: float) -> str:
         if session.is_closed():
             return "the session was closed"
-        if "empty and closed" not in str(error):
+        if not _is_empty(error):
             return brief(error)
         if not session.info.routers_zid():
             return "not connected"
-        return _UNSERVED
+        return self._whom(session, patience_s)
+
+    def _whom(self, session: zenoh.Session, patience_s: float) -> str:
+        """What it is that is connected and does not answer; looked at once a second."""
+        now = time.monotonic()
+        if self._found is None or now - self._found[0] > _LOOK_AGAIN_S:
+            self._found = now, silence_of(session, patience_s)
+        return self._found[1]
 
     def _unavailable(self, key: str, tried_s: float, attempts: int, reason: str) -> Unavailable:
         details = {
@@ -146,9 +165,11 @@ class Transport:
             "reason": reason,
         }
         if self.session.peek() is None:
-            message = (
-                f"no server at {self.endpoint} within {tried_s:.1f} s; start one: crkr server, or ask why: crkr doctor"
-            )
+            found = self.session.obstacle
+            what = "; start one: crkr server, or ask why: crkr doctor"
+            if found is not None and not found.absent:
+                what = f": {found.what} (`crkr doctor` tells more)"
+            message = f"no server at {self.endpoint} within {tried_s:.1f} s{what}"
             return Unavailable(message, details=details)
         ask = "" if reason.startswith("connected") else "is the server running? "
         return Unavailable(
@@ -196,6 +217,16 @@ class Transport:
     def close(self) -> None:
         """Closes the session."""
         self.session.close()
+
+
+def _is_empty(error: zenoh.ZError) -> bool:
+    """Whether the question came to its end without a reply."""
+    return "empty and closed" in str(error)
+
+
+def _nobody_serves(session: zenoh.Session, error: zenoh.ZError) -> bool:
+    """Whether a server is there and has nothing under the key, or denies it to this client."""
+    return _is_empty(error) and not session.is_closed() and bool(session.info.routers_zid())
 
 
 def _pause(attempt: int) -> float:

@@ -18,6 +18,7 @@ from crkr.protocol.errors import Invalid, Unsupported, shown
 from crkr.protocol.keys import PROTOCOL_VERSION
 
 __all__ = [
+    "MAX_DEPTH",
     "MAX_MESSAGE_BYTES",
     "MAX_STATES",
     "MAX_TRIALS",
@@ -25,6 +26,7 @@ __all__ = [
     "array_from_wire",
     "array_map",
     "array_to_wire",
+    "check_depth",
     "check_encoding",
     "encoding",
     "frozen_from_wire",
@@ -32,6 +34,7 @@ __all__ = [
     "is_masked",
     "pack",
     "pack_around",
+    "salvage",
     "unpack",
 ]
 
@@ -40,6 +43,7 @@ Array = NDArray[np.float64]
 MAX_MESSAGE_BYTES: Final = 8 * 1024 * 1024
 MAX_STATES: Final = 4096
 MAX_TRIALS: Final = 1024
+MAX_DEPTH: Final = 64  # of maps and lists in each other; some readers recurse
 _MEDIA: Final = "application/msgpack"
 _DTYPES: Final = {name: np.dtype(name) for name in ("<f8", "<f4", "<i8")}
 _ENCODING: Final = re.compile(rf"{_MEDIA};crkr\.[a-z_]+\.v([0-9]{{1,9}})")
@@ -101,11 +105,16 @@ def pack_around(message: Mapping[str, Any], name: str, packed: bytes | Sequence[
     return b"".join((pack({**message, name: [None] * count})[: -count or None], *packed))
 
 
-def unpack(data: bytes) -> dict[str, Any]:
+def unpack(data: bytes, depth: int | None = MAX_DEPTH) -> dict[str, Any]:
     """Decodes one message.
 
+    Args:
+        data: The message's bytes.
+        depth: How deep maps and lists may be nested; None: as deep as msgpack goes, 1024, for what was stored before
+            the limit was set.
+
     Raises:
-        Invalid: Too large, not msgpack, not a map, or keys that are not text.
+        Invalid: Too large, not msgpack, not a map, nested too deep, or keys that are not text.
     """
     if len(data) > MAX_MESSAGE_BYTES:
         raise Invalid(f"message has {len(data)} bytes; the limit is {MAX_MESSAGE_BYTES}")
@@ -120,6 +129,8 @@ def unpack(data: bytes) -> dict[str, Any]:
     for key in message:
         if type(key) is not str:
             raise Invalid(f"message must be a map with text keys; got a key of type {type(key).__name__}")
+    if depth is not None:
+        check_depth(message, depth)
     return message
 
 
@@ -127,6 +138,30 @@ def is_masked(value: object) -> bool:
     """Whether it is a masked array; numpy imports what makes them only where they are used, and so does this."""
     kind = getattr(sys.modules.get("numpy.ma"), "MaskedArray", None)
     return kind is not None and isinstance(value, kind)
+
+
+def salvage(data: bytes) -> dict[str, Any]:
+    """Decodes what `unpack` refuses, as far as msgpack can, for people to look at; empty where it cannot."""
+    try:
+        found = msgpack.unpackb(data, strict_map_key=False, unicode_errors="replace")
+    except (ValueError, TypeError, OverflowError, RecursionError, msgpack.UnpackException):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def check_depth(message: Mapping[str, Any], most: int = MAX_DEPTH) -> None:
+    """Raises `Invalid` where a decoded message is nested deeper, without recursion."""
+    level: list[Any] = [message]
+    for _ in range(most):
+        level = [
+            value
+            for outer in level
+            for value in (outer.values() if type(outer) is dict else outer)
+            if type(value) is dict or type(value) is list
+        ]
+        if not level:
+            return
+    raise Invalid(f"message is nested more than {most} deep")
 
 
 def array_to_wire(array: NDArray[Any]) -> dict[str, Any]:

@@ -144,7 +144,13 @@ class TrialLoop:
         )
 
     def _predict(self, state: Floats, trial_id: UUID) -> Prediction:
-        return self._task.predict(state, explore=True, trial_ids=[trial_id], worker=self._identity.worker)
+        try:
+            return self._task.predict(state, explore=True, trial_ids=[trial_id], worker=self._identity.worker)
+        except Internal as error:
+            refused = error.details.get("prediction")
+            if isinstance(refused, Prediction):  # it is told with what was proposed
+                return refused
+            raise
 
     def _is_mine(self, trial: Trial, receipt: Receipt) -> bool:
         """Whether a duplicate is this worker's own, stored by an attempt whose answer was lost; the log names who."""

@@ -16,12 +16,14 @@ from typing import Annotated, Any
 import typer
 
 from crkr.client import Client
-from crkr.client.allowed import allowed
+from crkr.client.allowed import allowed, others
 from crkr.client.commands.status import named_tasks
 from crkr.client.config import Connection
 from crkr.client.console import print_json, print_table
-from crkr.client.handshake import certificate_end, refusal
+from crkr.client.diagnosis import ANYBODY, NO_SERVER, obstacle
+from crkr.client.handshake import certificate_end
 from crkr.client.options import Connect, Json, Timeout, ZenohConfig
+from crkr.client.outbox_file import OutboxFile
 from crkr.protocol import PROTOCOL_VERSION, CrkrError, Invalid, Unavailable
 
 __all__ = ["doctor"]
@@ -37,6 +39,9 @@ def doctor(
     data: Annotated[
         Path | None, typer.Option("--data", metavar="DIR", help="Also look at the disk under a data directory.")
     ] = None,
+    outbox: Annotated[
+        Path | None, typer.Option("--outbox", metavar="FILE", help="Also look into an outbox that no program has open.")
+    ] = None,
     connect: Connect = None,
     timeout: Timeout = 5.0,
     zenoh_config: ZenohConfig = None,
@@ -49,6 +54,8 @@ def doctor(
     checks = [_versions(), *_server(connect, timeout, zenoh_config)]
     if data is not None:
         checks += _disk(data)
+    if outbox is not None:
+        checks.append(_outbox(outbox))
     fine = all(passed for _, passed, _ in checks)
     if as_json:
         print_json({"ok": fine, "checks": [{"check": c, "ok": ok, "detail": text} for c, ok, text in checks]})
@@ -84,6 +91,7 @@ def _conversation(client: Client, zenoh_config: Path | None) -> list[_Check]:
         *_certificate(connection),
         *_answers(info, trips),
         *_access(client, info),
+        *_strangers(client, info),
     ]
 
 
@@ -92,16 +100,22 @@ def _trouble(error: CrkrError, connection: Connection) -> str:
     tried = error.details
     if not isinstance(error, Unavailable) or "reason" not in tried:
         return error.message
-    advice = "is a server running there? start one: crkr server"
-    if tried["reason"].startswith("connected"):
-        advice = "does the server's access control know this client, or is the server overloaded?"
-    elif found := refusal(connection.endpoint, connection.zenoh(_HANDSHAKE_S), _HANDSHAKE_S):
-        return f"no connection to {connection.endpoint}: {found}"
+    where, advice = f"no answer from {tried['endpoint']} in {tried['tried_s']:.1f} s ({tried['reason']})", ""
+    if tried["reason"] == ANYBODY:
+        advice = "; does the server's access control know this client, or is the server overloaded?"
+    elif tried["reason"] == NO_SERVER:
+        return f"no crkr server at {tried['endpoint']}: {tried['reason']}; connect to where `crkr server --listen` is"
+    elif tried["reason"].startswith("connected"):
+        advice = "; is the server overloaded or stopped?"
+    elif found := obstacle(connection.endpoint, connection.zenoh(_HANDSHAKE_S), _HANDSHAKE_S):
+        return f"no connection to {connection.endpoint}: {found.what}"
     elif _certificate(connection):
-        advice = "the certificates are in order there: are user and password?"
+        advice = "; the certificates are in order there: are user and password?"
     elif connection.endpoint.startswith("tls/"):
-        advice = "is a server with TLS running there, and of the authority that --zenoh-config names?"
-    return f"no answer from {tried['endpoint']} in {tried['tried_s']:.1f} s ({tried['reason']}); {advice}"
+        advice = "; is a server with TLS running there, and of the authority that --zenoh-config names?"
+    else:
+        advice = "; what listens there takes connections and says nothing: is the server stopped, is a password wrong?"
+    return where + advice
 
 
 def _certificate(connection: Connection) -> list[_Check]:
@@ -111,6 +125,20 @@ def _certificate(connection: Connection) -> list[_Check]:
     left = (end - datetime.now(UTC)).days
     advice = "" if left >= _RENEW_DAYS else f": {left} days are left, make new ones and restart the server"
     return [("certificate", not advice, f"the server's is valid until {end:%Y-%m-%d}{advice}")]
+
+
+def _strangers(client: Client, info: dict[str, Any]) -> list[_Check]:
+    """Others that answer for the server: they are not believed, and still somebody should look."""
+    session = client._rpc.transport.session.peek()
+    if info.get("protocol") != PROTOCOL_VERSION or session is None or not session.info.routers_zid():
+        return []
+    found = others(session, [*info.get("tasks", []), "none"][0])
+    if not found:
+        return []
+    who = ", ".join(sorted(found))
+    return [
+        ("trust", False, f"another client answers too, in vain (Zenoh id {who}): access control keeps it from that")
+    ]
 
 
 def _access(client: Client, info: dict[str, Any]) -> list[_Check]:
@@ -144,6 +172,23 @@ def _seconds(call: Any) -> float:
     start = time.perf_counter()
     call()
     return time.perf_counter() - start
+
+
+def _outbox(path: Path) -> _Check:
+    try:
+        file = OutboxFile.existing(path)
+    except CrkrError as error:
+        return "outbox", False, error.message
+    try:
+        pending, refused = file.pending(), file.refused()
+    except CrkrError as error:
+        return "outbox", False, error.message
+    finally:
+        file.close()
+    told = f"{pending} trials of task {file.task!r} wait"
+    if refused:
+        told += f", {len(refused)} were put aside, the first for {refused[0].error}; see Outbox.refused and discard"
+    return "outbox", not refused, told
 
 
 def _disk(directory: Path) -> list[_Check]:

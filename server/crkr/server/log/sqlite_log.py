@@ -280,7 +280,7 @@ def _insert_event(connection: sqlite3.Connection, key: int, seq: int, kind: str,
         "INSERT INTO event (task, seq, time, kind, body, digest) VALUES (?, ?, ?, ?, ?, ?)",
         (key, seq, now, kind, data, body_digest(kind, data)),
     )
-    return Event(seq, now, kind, unpack(data))
+    return Event(seq, now, kind, unpack(data, depth=None))
 
 
 def _mark(

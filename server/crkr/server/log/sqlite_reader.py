@@ -237,7 +237,7 @@ def _event(row: tuple[Any, ...]) -> Event:
     seq, now, kind, body, digest = row
     if body_digest(kind, body) != digest:
         raise StorageError(f"the {kind} event at log position {seq} does not match its digest; restore a backup")
-    return Event(seq, now, kind, unpack(body))
+    return Event(seq, now, kind, unpack(body, depth=None))
 
 
 def _follows(task: str, seq: int, before: int) -> int:

@@ -58,12 +58,18 @@ def _configure(message: Mapping[str, Any], task: ServedTask) -> Change:
     changes = required(message, "changes")
     if not isinstance(changes, Mapping) or not changes:
         raise Invalid(f"changes must be a map with at least one field; got {type(changes).__name__}")
-    task.spec.with_changes(changes)
+    understood = task.spec.with_changes(changes).to_dict()
+    stored = {name: _understood(value, understood[name]) for name, value in changes.items()}
 
     def answer(changed: ServedTask, _: Any) -> dict[str, Any]:
         return {"spec": changed.spec.to_dict(), "hyperparameters": hyperparameters(changed.model)}
 
-    return Change("configure", {"changes": changes}, answer)
+    return Change("configure", {"changes": stored}, answer)
+
+
+def _understood(given: Any, read: Any) -> Any:
+    """A setting as it was read; of a group of settings the given ones. Unknown fields are ignored, and not stored."""
+    return {name: value for name, value in read.items() if name in given} if isinstance(read, Mapping) else read
 
 
 def _archive(_message: Mapping[str, Any], _task: ServedTask) -> Change:

@@ -17,6 +17,7 @@ from crkr.server.durations import Durations
 from crkr.server.lane import shutting_down
 from crkr.server.log import Event, LoggedTrial
 from crkr.server.tasks import ServedTask
+from crkr.server.thread_faults import FAULTS, keep_running
 
 __all__ = ["Learning", "Notice"]
 
@@ -57,7 +58,7 @@ class Learning:
         self._closing = self._closed = False
         self._deadline = 0.0  # on the monotonic clock, of what is done while closing
         self._backlog = self._asked = 0
-        self._thread = threading.Thread(target=self._run, name="learning", daemon=True)
+        self._thread = threading.Thread(target=keep_running, args=(self._step,), name="learning", daemon=True)
 
     def start(self) -> None:
         """Begins to learn."""
@@ -117,9 +118,11 @@ class Learning:
                 step.done(None, shutting_down())
         return not self._thread.is_alive()
 
-    def _run(self) -> None:
-        while group := self._take():
+    def _step(self) -> bool:
+        group = self._take()
+        if group:
             self._apply(group)
+        return bool(group)
 
     def _take(self) -> list[_Step]:
         """The next step, with the trials of the same task that follow it at once."""
@@ -142,14 +145,19 @@ class Learning:
         result, failure = None, None
         try:
             result = _learn(task, group, self.steps)
-        except Exception as error:
+        except BaseException as error:  # a panic or exhausted memory too: this task stops, the others go on
+            if not isinstance(error, Exception):
+                FAULTS.note(error)
             if not task.fault:
                 logger.exception("task %r stops learning after log position %s", task.name, before.version)
             task.fault = task.fault or f"{type(error).__name__}: {error}"
             failure = Internal(f"task {task.name!r} stores trials but learns no more until a restart: {task.fault}")
         for step in group:
             if step.done is not None:
-                step.done(result, failure)
+                try:
+                    step.done(result, failure)
+                except BaseException as error:  # the others are answered
+                    FAULTS.note(error)
         if task.model is not before:
             self._notice(task, before, task.model)
             if task.learner.refit_due:

@@ -26,6 +26,7 @@ from crkr.server.learning import Learning
 from crkr.server.log import LogReader
 from crkr.server.request import Request
 from crkr.server.tasks import ServedTask, Tasks, hyperparameters
+from crkr.server.thread_faults import FAULTS
 from crkr.server.workers import Workers
 
 __all__ = ["Reader"]
@@ -56,6 +57,7 @@ class Reader:
         self._server_id, self._tasks, self._log, self._learning = server_id, tasks, log, learning
         self._workers, self._latencies, self._queues = workers, latencies, queues
         self._started, self._started_monotonic = time.time(), time.monotonic()
+        self._version = version("crkr")  # of what runs, which is not what is installed after an upgrade
         self._verbs: Mapping[str, Callable[[Request], None]] = {
             "info": self._info,
             "tasks": self._list_tasks,
@@ -70,19 +72,21 @@ class Reader:
         for request in requests:
             try:
                 self._verbs[request.verb](request)
-            except Exception as error:  # answered; the others go on
+            except BaseException as error:  # answered; the others go on
                 request.fail_unexpectedly(error)
 
     def _info(self, request: Request) -> None:
         request.message()
+        threads = FAULTS.summary()
         request.reply(
             {
                 "protocol": PROTOCOL_VERSION,
-                "version": version("crkr"),
+                "version": self._version,
                 "server_id": self._server_id,
                 "started": self._started,
                 "tasks": [task.name for task in self._tasks.all()],
                 "limits": {"states": MAX_STATES, "trials": MAX_TRIALS, "message_bytes": MAX_MESSAGE_BYTES},
+                **({"threads": threads} if threads else {}),
             }
         )
 
@@ -113,6 +117,8 @@ class Reader:
             status["fault"] = task.fault
         if task.damage:
             status["damage"] = task.damage
+        if threads := FAULTS.summary():
+            status["threads"] = threads
         request.reply(status)
 
     def _model(self, request: Request) -> None:
@@ -147,7 +153,7 @@ class Reader:
                 return
             try:
                 request.reply(task.learner.explain(state, sample_id).to_wire())
-            except Exception as error:
+            except BaseException as error:
                 request.fail_unexpectedly(error)
 
         if self._learning.asked >= _MOST_ASKED:

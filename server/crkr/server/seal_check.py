@@ -20,6 +20,7 @@ from typing import IO, Final, final
 
 from crkr.protocol import StorageError
 from crkr.server.log import SqliteReader
+from crkr.server.thread_faults import run_once
 
 __all__ = ["SealCheck"]
 
@@ -43,7 +44,7 @@ class SealCheck:
         self._path, self._tasks, self._damaged = path, dict(tasks), damaged
         self._stopped, self._starting = threading.Event(), threading.Lock()
         self._process: subprocess.Popen[str] | None = None
-        self._thread = threading.Thread(target=self._run, name="seals", daemon=True)
+        self._thread = threading.Thread(target=run_once, args=(self._run,), name="seals", daemon=True)
 
     def start(self) -> None:
         """Begins, unless there is nothing to check."""

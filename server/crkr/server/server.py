@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -40,6 +41,8 @@ __all__ = ["DEFAULT_LISTEN", "Server", "ServerSettings"]
 logger = logging.getLogger(__name__)
 
 _QUEUE: Final = 256
+# For a question about many states whose asker does not say how long it waits, as clients of version 0.1 do not.
+_PREDICT_PATIENCE_S: Final = 30.0
 _DRAIN_S: Final = 1.0  # for requests that were taken in before the order to stop
 
 
@@ -108,29 +111,33 @@ class Server:
         writer = Writer(self._log, self.tasks, self._workers, self._learning)
 
         def lane(
-            name: str, verbs: str, work: Any, most: int = 1, limit: int = _QUEUE, rests: bool = False
+            name: str, verbs: str, work: Any, most: int = 1, limit: int = _QUEUE, **how: Any
         ) -> dict[str, Lane[Any]]:
-            made: Lane[Any] = Lane(name, dict.fromkeys(verbs.split(), limit), work, most, rests=rests)
+            made: Lane[Any] = Lane(name, dict.fromkeys(verbs.split(), limit), work, most, **how)
             self._lanes.append(made)
             return dict.fromkeys(verbs.split(), made)
 
+        # What writes keeps its order, and is stored even where its asker gave up: a late report is data like any other.
         write = lane("write", "report create_task recost remove configure archive", writer.work, MOST_REPORTS, 4096)
-        brief = lane("brief", "info tasks status model", reader.work)
-        samples = lane("samples", "samples", reader.work, rests=True)
-        explain = lane("explain", "explain", reader.work, rests=True)
-        bulk = lane("bulk predict", "predict", predictor.answer)
+        fair: dict[str, Any] = {"fair": True, "patience_s": math.inf}
+        brief = lane("brief", "info tasks status model", reader.work, **fair)
+        samples = lane("samples", "samples", reader.work, rests=True, **fair)
+        explain = lane("explain", "explain", reader.work, rests=True, **fair)
+        bulk = lane("bulk predict", "predict", predictor.work, fair=True, patience_s=_PREDICT_PATIENCE_S, joins=True)
         self._fitting = Fitting(self.tasks, self._learning, writer)
-        refit = lane("refit", "refit", self._fitting.work, limit=16)
+        refit = lane("refit", "refit", self._fitting.work, limit=16, **fair)
         self._refit_lane = refit["refit"]
         routes = {**write, **refit, **brief, **samples, **explain, **bulk}
 
-        def intake(key: str, verbs: str, predict: Any = None) -> None:
+        def intake(key: str, verbs: str, predict: Any = None, check_task: Any = None) -> None:
             served = {verb: routes[verb] for verb in verbs.split()}
-            self._intakes.append(Intake(self._session, key, served, self._latencies, self._refuser, predict))
+            self._intakes.append(
+                Intake(self._session, key, served, self._latencies, self._refuser, predict, check_task)
+            )
 
-        intake(task_key("*", "*"), "predict report status model samples explain", predictor.answer)
+        intake(task_key("*", "*"), "predict report status model samples explain", predictor.answer, self.tasks.get)
         intake(rpc_key("*"), "info tasks create_task")
-        intake(admin_key("*", "*"), "refit recost remove configure archive")
+        intake(admin_key("*", "*"), "refit recost remove configure archive", None, self.tasks.get)
         self._token_key = live_server_key(str(server_id))
         return writer.commits
 

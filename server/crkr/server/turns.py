@@ -67,9 +67,8 @@ class FairQueue(Generic[_Job]):
     """
 
     def __init__(self) -> None:
-        self._by_task: OrderedDict[str, OrderedDict[bytes, list[_Job]]] = (
-            OrderedDict()
-        )  # whose turn is next comes first
+        # Task -> client -> its jobs; whose turn is next comes first.
+        self._by_task: OrderedDict[str, OrderedDict[bytes, list[_Job]]] = OrderedDict()
         self._count = 0
         self._oldest = False
         self._place = 0  # of the job that was taken last, among those of its client

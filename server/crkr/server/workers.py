@@ -40,12 +40,19 @@ _WORKER, _LEFT = (key("*", "*").split("/")[-2] for key in (live_worker_key, left
 
 @final
 class _Worker:
-    __slots__ = ("alive", "announced", "last_seen", "left", "open", "seen")
+    __slots__ = ("alive", "announced", "last_seen", "left", "most", "open", "seen")
 
     def __init__(self) -> None:
         self.alive = self.announced = self.left = False
         self.open: OrderedDict[bytes, float] = OrderedDict()  # trial -> when it was asked for, the oldest first
+        self.most = 0  # open trials at a time since the table of them was made
         self.see()
+
+    def shrink(self) -> None:
+        """Makes the table of open trials anew once it is far too large: taking entries out does not make it smaller."""
+        if self.most > _FEW and len(self.open) < self.most // 4:
+            self.open = OrderedDict(self.open)
+            self.most = len(self.open)
 
     def see(self) -> None:
         """Notes that it gave a sign just now: the time of day to be told, the monotonic one to be compared."""
@@ -100,6 +107,7 @@ class Workers:
             for trial in trials:
                 entry.open[trial] = entry.seen
                 entry.open.move_to_end(trial)
+            entry.most = max(entry.most, len(entry.open))
             while len(entry.open) > _MOST_OPEN:
                 entry.open.popitem(last=False)
             self._open += len(entry.open) - before
@@ -113,6 +121,7 @@ class Workers:
             entry.see()
             for trial in trials:
                 self._open -= entry.open.pop(trial, None) is not None
+            entry.shrink()
 
     def status(self, task: str) -> list[dict[str, Any]]:
         """The task's workers as `status` lists them."""
@@ -178,6 +187,7 @@ class Workers:
             for _ in range((len(most.open) + 1) // 2):
                 most.open.popitem(last=False)
                 self._open -= 1
+            most.shrink()
 
     def _follow(self, tokens: zenoh.Subscriber[zenoh.handlers.Handler[zenoh.Sample]]) -> bool:
         try:

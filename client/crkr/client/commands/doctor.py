@@ -17,6 +17,7 @@ import typer
 
 from crkr.client import Client
 from crkr.client.allowed import allowed
+from crkr.client.commands.status import ended_threads, thread_faults
 from crkr.client.config import Connection
 from crkr.client.console import print_json, print_table
 from crkr.client.handshake import certificate_end, refusal
@@ -135,7 +136,15 @@ def _answers(info: dict[str, Any], trips: list[float]) -> list[_Check]:
         ("protocol", same, f"version {spoken}{advice}"),
         ("round trip", True, f"median {median:.2f} ms, worst of {len(trips)} {worst:.2f} ms"),
         ("tasks", True, ", ".join(info.get("tasks", [])) or "none yet"),
+        _threads(info),
     ]
+
+
+def _threads(info: dict[str, Any]) -> _Check:
+    ended, faults = ended_threads(info), thread_faults(info)
+    if ended:
+        return "threads", False, f"ended: {', '.join(ended)}; restart the server, its log says why"
+    return "threads", True, f"all run; faults they survived: {faults}; see the server's log" if faults else "all run"
 
 
 def _seconds(call: Any) -> float:

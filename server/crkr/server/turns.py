@@ -59,6 +59,17 @@ class Turns:
 
 
 @final
+class _Line(Generic[_Job]):
+    """The jobs of one client in one task."""
+
+    __slots__ = ("jobs", "oldest")
+
+    def __init__(self) -> None:
+        self.jobs: list[_Job] = []
+        self.oldest = False  # was taken last time, rather than the one with the least left
+
+
+@final
 class FairQueue(Generic[_Job]):
     """What waits in a lane: the tasks take turns, and within a task its clients. Not for several threads.
 
@@ -68,9 +79,8 @@ class FairQueue(Generic[_Job]):
 
     def __init__(self) -> None:
         # Task -> client -> its jobs; whose turn is next comes first.
-        self._by_task: OrderedDict[str, OrderedDict[bytes, list[_Job]]] = OrderedDict()
+        self._by_task: OrderedDict[str, OrderedDict[bytes, _Line[_Job]]] = OrderedDict()
         self._count = 0
-        self._oldest = False
         self._place = 0  # of the job that was taken last, among those of its client
 
     def __len__(self) -> int:
@@ -84,9 +94,9 @@ class FairQueue(Generic[_Job]):
     def popleft(self) -> _Job:
         """The next."""
         task, clients = next(iter(self._by_task.items()))
-        client, jobs = next(iter(clients.items()))
-        self._oldest = not self._oldest
-        self._place = 0 if self._oldest else min(range(len(jobs)), key=lambda place: jobs[place].left)
+        client, line = next(iter(clients.items()))
+        jobs, line.oldest = line.jobs, not line.oldest
+        self._place = 0 if line.oldest else min(range(len(jobs)), key=lambda place: jobs[place].left)
         job = jobs.pop(self._place)
         self._count -= 1
         clients.move_to_end(client)
@@ -104,10 +114,13 @@ class FairQueue(Generic[_Job]):
 
     def clear(self) -> list[_Job]:
         """Takes all."""
-        left = [job for clients in self._by_task.values() for jobs in clients.values() for job in jobs]
+        left = [job for clients in self._by_task.values() for line in clients.values() for job in line.jobs]
         self._by_task.clear()
         self._count = 0
         return left
 
     def _jobs(self, job: _Job) -> list[_Job]:
-        return self._by_task.setdefault(job.task, OrderedDict()).setdefault(job.client, [])
+        clients = self._by_task.setdefault(job.task, OrderedDict())
+        if job.client not in clients:
+            clients[job.client] = _Line()
+        return clients[job.client].jobs

@@ -63,12 +63,21 @@ class Intake:
         self._waiting = Turns()
         self._surplus: list[Callable[[], None]] = []  # lets go of queries that not even a refusal has room for
         self._stopping = False
-        self._queries = session.declare_queryable(key, zenoh.handlers.FifoChannel(_CHANNEL), complete=True)
+        self._key = key
+        self._queries = self._declare(session)
         self._relay = Relay(self._run, f"intake {key}")
 
     def start(self) -> None:
         """Begins to take queries."""
         self._relay.start()
+
+    def move(self, session: zenoh.Session) -> None:
+        """Takes queries from another session; the one before is closed."""
+        self._queries = self._declare(session)
+        self._relay.start()
+
+    def _declare(self, session: zenoh.Session) -> zenoh.Queryable[zenoh.handlers.Handler[zenoh.Query]]:
+        return session.declare_queryable(self._key, zenoh.handlers.FifoChannel(_CHANNEL), complete=True)
 
     def stop(self) -> None:
         """From now on every query is answered with SHUTTING_DOWN; the thread ends with the session."""
@@ -79,24 +88,27 @@ class Intake:
         self._relay.join(patience_s)
 
     def _run(self, turn: int) -> None:
-        keep_running(partial(self._round, turn))
+        keep_running(partial(self._round, turn, self._queries))
 
-    def _round(self, turn: int) -> bool:
+    def _round(self, turn: int, queries: zenoh.Queryable[zenoh.handlers.Handler[zenoh.Query]]) -> bool:
         """Takes what waits and answers predictions; False where another thread took over, or all is over."""
         try:
             if not self._waiting:
-                self._route(self._queries.recv())
-            self._drain()
+                query = queries.recv()
+                if not self._relay.on_duty(turn):
+                    return False
+                self._route(query)
+            self._drain(queries)
         except zenoh.ZError:  # the session is closed
             for request in self._waiting.take(len(self._waiting)):
                 request.fail(shutting_down())
             return False
         return self._answer(turn)
 
-    def _drain(self) -> None:
+    def _drain(self, queries: zenoh.Queryable[zenoh.handlers.Handler[zenoh.Query]]) -> None:
         """Takes what has come, but not so much that predictions wait for it."""
         for _ in range(_ROUND):
-            query = self._queries.try_recv()
+            query = queries.try_recv()
             if query is None:
                 return
             self._route(query)

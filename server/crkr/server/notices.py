@@ -27,6 +27,10 @@ class Notices:
         self._session = session
         self._encoding = zenoh.Encoding(encoding("model_notice"))
 
+    def move(self, session: zenoh.Session) -> None:
+        """Sends by another session from now on."""
+        self._session = session
+
     def __call__(self, task: ServedTask, before: Model, after: Model) -> None:
         """Says what changed between two models."""
         added, evicted = ([], []) if after.ids is before.ids else _exchanged(before.ids, after.ids)

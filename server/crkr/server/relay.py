@@ -37,7 +37,7 @@ class Relay:
         self._watch = threading.Thread(target=keep_running, args=(self._look,), name=f"{name} relay", daemon=True)
 
     def start(self) -> None:
-        """Starts the first turn."""
+        """Starts the first turn, or the next where the one before has nothing to take any more."""
         with self._lock:
             self._begin_turn()
 
@@ -55,6 +55,10 @@ class Relay:
             if turn == self._turn:
                 self._since = None
             return turn == self._turn
+
+    def on_duty(self, turn: int) -> bool:
+        """Whether no other turn has begun since."""
+        return turn == self._turn
 
     def join(self, patience_s: float) -> None:
         """Waits for the thread on duty to end; no other takes over from now on."""

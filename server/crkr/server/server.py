@@ -30,8 +30,10 @@ from crkr.server.reading import Reader
 from crkr.server.refusing import Refuser
 from crkr.server.restoring import FEW, restore_all
 from crkr.server.seal_check import SealCheck
-from crkr.server.session import DEFAULT_LISTEN, open_session
+from crkr.server.session import DEFAULT_LISTEN, endpoints, open_session
+from crkr.server.session_renewal import SessionRenewal, cut_connections
 from crkr.server.tasks import ServedTask, Tasks
+from crkr.server.thread_faults import FAULTS
 from crkr.server.vitals import Vitals
 from crkr.server.workers import Workers
 from crkr.server.writing import MOST_REPORTS, Writer
@@ -78,6 +80,7 @@ class Server:
 
     def __init__(self, settings: ServerSettings) -> None:
         self.tasks = Tasks()
+        self._settings = settings
         self._log = SqliteLog(settings.data)
         try:
             for task in restore_all(self._log.reads, self._log.path):
@@ -98,6 +101,7 @@ class Server:
             settings.data, self.tasks, self._latencies, self._workers, self._learning, commits, self._queues
         )
         long = {task.name: task.seq for task in self.tasks.all() if task.seq > FEW}  # others were read row by row
+        self._renewal = SessionRenewal(self._renew_session)
         self._seals = SealCheck(self._log.path, long, self._found_damage)
         self._start()
 
@@ -152,6 +156,23 @@ class Server:
         # The last: whoever sees it can ask at once.
         self._token: zenoh.LivelinessToken = self._session.liveliness().declare_token(self._token_key)
         self._seals.start()
+        self._renewal.start()
+        FAULTS.heed_panics(self._renewal.heed)
+
+    def _renew_session(self) -> None:
+        """Closes the session and opens another, to which clients connect by themselves."""
+        logger.error("Zenoh panics again and again: its session is opened anew, and clients connect again")
+        try:
+            self._session.close()  # type: ignore[no-untyped-call]  # zenoh's stub lacks the type
+        except BaseException as error:  # as it will, if it is broken; the port is free all the same
+            logger.debug("the broken session did not close cleanly: %r", error)
+        cut_connections(endpoints(self._settings.listen, self._settings.zenoh_config))
+        self._session = open_session(self._settings.listen, self._settings.zenoh_config)
+        self._notices.move(self._session)
+        for intake in self._intakes:
+            intake.move(self._session)
+        self._workers.watch(self._session)
+        self._token = self._session.liveliness().declare_token(self._token_key)
 
     def _fit_when_due(self, task: ServedTask) -> None:
         """Called by learning after every step until the fit begins."""
@@ -176,6 +197,8 @@ class Server:
     def close(self) -> None:
         """Answers what was taken in, commits it, and leaves; what comes meanwhile is told so."""
         deadline = time.monotonic() + _DRAIN_S
+        FAULTS.heed_panics(None)
+        self._renewal.stop(_DRAIN_S)
         try:
             self._token.undeclare()  # type: ignore[no-untyped-call]  # zenoh's stub lacks the type
         except zenoh.ZError as error:

@@ -86,7 +86,14 @@ class Workers:
         self._thread: threading.Thread | None = None
 
     def watch(self, session: zenoh.Session) -> None:
-        """Follows the tokens from now on, those that stand already too; ends with the session."""
+        """Follows the tokens from now on, those that stand already too; ends with the session.
+
+        Where another session was followed before, its workers are lost until their tokens stand in this one.
+        """
+        with self._lock:
+            for name, entry in list(self._alive.items()):
+                entry.alive = False
+                self._sort_in(name, entry)
         tokens = session.liveliness().declare_subscriber(_TOKENS, zenoh.handlers.FifoChannel(_FIFO), history=True)
         self._thread = threading.Thread(
             target=keep_running, args=(partial(self._follow, tokens),), name="liveliness", daemon=True

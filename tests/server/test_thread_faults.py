@@ -3,6 +3,7 @@
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -20,6 +21,7 @@ from crkr.server.refusing import Refuser
 from crkr.server.relay import Relay
 from crkr.server.request import Request
 from crkr.server.session import open_session
+from crkr.server.session_renewal import SessionRenewal
 from crkr.server.stderr_log import StderrLog
 from crkr.server.thread_faults import FAULTS, ThreadFaults, keep_running, run_once
 
@@ -240,3 +242,41 @@ def test_the_health_probe_fails_where_a_thread_ended(threads: Any, code: int, fr
         assert info is not None
     assert check.returncode == code
     assert ("write" in shown) == (threads is not None)
+
+
+def test_subscribers_whose_connections_an_overlong_publication_broke_are_answered_again(
+    server: Any, reach: dict[str, Any], plain: Callable[[str], zenoh.Session], processes: Any
+) -> None:
+    change = overlong(f"{ROOT}/task/reach/pub/{'k' * 40_000}".encode(), b"s" * 26_000)
+    with (
+        Client(server.endpoint, timeout_s=PATIENCE_S) as client,
+        Client(server.endpoint, timeout_s=PATIENCE_S) as listening,
+        changed_on_the_way(server.port, change) as endpoint,
+    ):
+        task = client.create_task(reach)
+        task.report(state=[0.5, 0.5], goal=[0.0] * 3, cost=0.5, success=True, wait=True)
+        session = listening._rpc.transport.connect(PATIENCE_S + time.monotonic())
+        subscriber = session.declare_subscriber(f"{ROOT}/task/reach/pub/*", zenoh.handlers.FifoChannel(100))
+        assert listening.task("reach").predict([0.5, 0.5]).active == 1
+        with task.announce("ada"):
+            hostile = plain(endpoint)
+            hostile.put(f"{ROOT}/x/dummy1", b"x")
+            hostile.put(f"{ROOT}/x/dummy2", b"x")
+            for one in (listening, client):
+                assert one.task("reach").predict([0.5, 0.5]).active == 1
+            assert task.report(state=[0.4, 0.5], goal=[0.0] * 3, cost=0.5, success=True, wait=True).accepted == 1
+            told = processes.wait_until(lambda: task.status()["threads"], server.log)
+            assert sum(told["faults"].values()) >= 1
+            assert told["ended"] == []
+            processes.wait_until(lambda: task.status()["workers"][0]["state"] == "alive", server.log)
+        assert subscriber is not None
+
+
+def test_panics_that_pass_do_not_renew_the_session() -> None:
+    renewed: list[None] = []
+    renewal = SessionRenewal(lambda: renewed.append(None))
+    renewal.start()
+    for _ in range(100):  # at once
+        renewal.heed()
+    renewal.stop(PATIENCE_S)
+    assert renewed == []

@@ -68,7 +68,8 @@ class VitalsCollector(Collector):
         faults = CounterMetricFamily(
             "crkr_thread_faults", "What threads of the server raised and survived; see its log.", labels=["thread"]
         )
-        for thread, count in FAULTS.counts().items():
+        # Those that matter most are there from the start, so that a rate sees their first fault.
+        for thread, count in {"write": 0, "learning": 0, **FAULTS.counts()}.items():
             faults.add_metric([thread], count)
         yield faults
         ended = len(FAULTS.ended())

@@ -1,5 +1,6 @@
 """What a client asks again after a lost answer is answered as the first time, and no answer is lost at the end."""
 
+import math
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -32,11 +33,12 @@ class OwnJob:
     """A job that the test asks of the server, and keeps the answer of."""
 
     verb, task, size = "archive", "reach", 0
+    client, received, deadline, left = b"", 0.0, math.inf, 0.0
 
     def __init__(self) -> None:
         self.answered = self.held = False
         self.message: dict[str, Any] = {}
-        self.error: Exception | None = None
+        self.error: BaseException | None = None
 
     def reply(self, message: Mapping[str, Any]) -> None:
         self.answered, self.message = True, dict(message)
@@ -44,7 +46,7 @@ class OwnJob:
     def fail(self, error: CrkrError) -> None:
         self.fail_unexpectedly(error)
 
-    def fail_unexpectedly(self, error: Exception) -> None:
+    def fail_unexpectedly(self, error: BaseException) -> None:
         self.answered, self.error = True, error
 
 

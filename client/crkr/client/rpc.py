@@ -9,15 +9,28 @@ from types import TracebackType
 from typing import Any, Final, final
 from uuid import UUID
 
+import numpy as np
+
 from crkr.client.transport import Transport
-from crkr.protocol import CrkrError, Internal, Invalid, array_from_wire, id_from_wire, pack, rpc_key, unpack
+from crkr.protocol import (
+    ADMIN_VERBS,
+    CrkrError,
+    Internal,
+    Invalid,
+    array_from_wire,
+    id_from_wire,
+    pack,
+    rpc_key,
+    unpack,
+)
 from crkr.protocol.checks import entries, integer
 from crkr.protocol.codec import MAX_DEPTH
 
 __all__ = ["Rpc", "plain", "positive", "reading"]
 
 # Verbs whose work may take longer than one ordinary attempt: asking again would only double it.
-_PATIENT: Final = frozenset({"recost", "remove", "refit", "configure", "archive"})
+_PATIENT: Final = frozenset({*ADMIN_VERBS, "samples", "explain", "model"})
+_MANY: Final = 16  # states or trials of one message, from which on it may take long too
 _PAGE: Final = 1000  # tasks
 
 
@@ -48,7 +61,7 @@ class Rpc:
             CrkrError: The server's typed error, or `Internal` for an answer that cannot be read.
         """
         verb = key.rpartition("/")[2]
-        patient = verb in _PATIENT or message.get("wait") is True
+        patient = _may_take_long(verb, message)
         reply = self.exchange(key, verb, pack(message), timeout_s, patient=patient, optional=optional)
         with reading(verb):
             return unpack(reply, depth=None)  # it may hold what was stored before there was a limit
@@ -105,6 +118,15 @@ class Rpc:
         reply = self.call(rpc_key("info"), {"limit": 0}, timeout_s)  # without the names of its tasks
         with reading("info"):
             return id_from_wire(reply.get("server_id"), "server_id")
+
+
+def _may_take_long(verb: str, message: Mapping[str, Any]) -> bool:
+    if verb in _PATIENT or message.get("wait") is True:
+        return True
+    states, trials = message.get("states"), message.get("trials")
+    if isinstance(states, np.ndarray):
+        return states.ndim > 1 and len(states) > _MANY
+    return isinstance(trials, list) and len(trials) > _MANY
 
 
 @final

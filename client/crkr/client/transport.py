@@ -11,6 +11,7 @@ deadline reached                     raises Unavailable
 from __future__ import annotations
 
 import logging
+import os
 import random
 import time
 from typing import Final, final
@@ -34,6 +35,7 @@ from crkr.protocol import (
     error_from_wire,
     unpack,
 )
+from crkr.protocol.call_metadata import CallMetadata
 
 __all__ = ["Transport"]
 
@@ -66,6 +68,7 @@ class Transport:
         self.session: Final = Session(connection)
         self._trust = Trust()
         self._found: tuple[float, str] | None = None
+        self._client = os.urandom(16)  # tells the server which calls are one client's
 
     @property
     def endpoint(self) -> str:
@@ -87,7 +90,8 @@ class Transport:
             kind: Name of the message for its encoding, e.g. "predict".
             payload: The message; the same bytes in every attempt.
             deadline: When to give up [s, monotonic clock].
-            patient: One attempt may take all the time: for verbs that work long. A lost connection still ends it.
+            patient: One attempt may take all the time: for calls that work long. A lost connection still ends it. The
+                server is told how long the attempt lasts, and drops what would be answered too late.
             optional: Give up at once where nobody serves the key: the caller knows another way.
 
         Raises:
@@ -107,7 +111,7 @@ class Transport:
                 raise self._unavailable(key, time.monotonic() - started, attempt, reason)
             limit = remaining if patient else _LATER_ATTEMPT_S if attempt else _FIRST_ATTEMPT_S
             try:
-                return self._attempt(key, kind, payload, min(limit, remaining), optional)
+                return self._attempt(key, kind, payload, min(limit, remaining), patient=patient, optional=optional)
             except _Unanswered as unanswered:
                 reason = unanswered.reason
                 pause = _pause(attempt) if unanswered.pause_s is None else unanswered.pause_s
@@ -116,9 +120,12 @@ class Transport:
                 self.session.pause(min(pause, max(0.0, deadline - time.monotonic())))
             attempt += 1
 
-    def _attempt(self, key: str, kind: str, payload: bytes, timeout_s: float, optional: bool) -> bytes:
+    def _attempt(
+        self, key: str, kind: str, payload: bytes, timeout_s: float, *, patient: bool, optional: bool
+    ) -> bytes:
         try:
             session = self.session.open(time.monotonic() + timeout_s)
+            told = CallMetadata(self._client, max(1, int(1000 * timeout_s))).to_bytes() if patient else None
             with self.session.inside:
                 replies = session.get(
                     key,
@@ -128,6 +135,7 @@ class Transport:
                     consolidation=zenoh.ConsolidationMode.NONE,  # hands over the reply without waiting for the end
                     target=EVERYONE,
                     timeout=timeout_s,
+                    attachment=told,
                 )
                 reply = self._trust.pick(session, replies)
         except NotConnected as error:

@@ -18,6 +18,8 @@ from crkr.protocol import (
 )
 from crkr.protocol.checks import cost_number, finite_array, required, text
 from crkr.protocol.codec import array_from_wire
+from crkr.protocol.errors import shown
+from crkr.protocol.task_spec import CHANGEABLE
 from crkr.server.tasks import ServedTask, hyperparameters
 
 __all__ = ["Change", "read_change"]
@@ -68,18 +70,28 @@ def _configure(message: Mapping[str, Any], task: ServedTask) -> Change:
     changes = required(message, "changes")
     if not isinstance(changes, Mapping) or not changes:
         raise Invalid(f"changes must be a map with at least one field; got {type(changes).__name__}")
+    if len(changes) > len(CHANGEABLE):
+        raise Invalid(f"changes has {len(changes)} fields; these can be changed: {', '.join(CHANGEABLE)}")
     kernel = changes.get("kernel")
-    if isinstance(kernel, Mapping) and (unknown := sorted(str(key) for key in kernel if key not in _KERNEL)):
-        raise Invalid(f"unknown fields in kernel: {', '.join(unknown)[:200]}; known are {', '.join(_KERNEL)}")
+    if isinstance(kernel, Mapping) and (unknown := [key for key in kernel if key not in _KERNEL]):
+        named = ", ".join(shown(key) for key in unknown[:5])
+        raise Invalid(f"unknown fields in kernel: {named}; known are {', '.join(_KERNEL)}")
     changed_spec = task.agreed.with_changes(changes)
     refuse_absurd(changed_spec, task.agreed)
     if "budget" in changes:  # an earlier version took larger ones, whose other settings may change still
         check_model_fits(changed_spec)
+    understood = changed_spec.to_dict()
+    stored = {name: _understood(value, understood[name]) for name, value in changes.items()}
 
     def answer(changed: ServedTask, _: Any) -> dict[str, Any]:
         return {"spec": changed.spec.to_dict(), "hyperparameters": hyperparameters(changed.model)}
 
-    return Change("configure", {"changes": changes}, answer)
+    return Change("configure", {"changes": stored}, answer)
+
+
+def _understood(given: Any, read: Any) -> Any:
+    """A setting as it was read; of a group of settings the given ones. Unknown fields are ignored, and not stored."""
+    return {name: value for name, value in read.items() if name in given} if isinstance(read, Mapping) else read
 
 
 def _archive(_message: Mapping[str, Any], _task: ServedTask) -> Change:

@@ -46,8 +46,10 @@ def server(
     from crkr.protocol import printable
     from crkr.server.server import Server, ServerSettings
     from crkr.server.session import endpoints
+    from crkr.server.thread_faults import FAULTS
 
     log = _log_to_stderr(log_level)
+    FAULTS.watch()
     _be_quick()
     told_to_stop, serving = _stop_signal(), threading.Event()
     threading.Thread(target=_leave_before, args=(told_to_stop, serving, log), name="early end", daemon=True).start()

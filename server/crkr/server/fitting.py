@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import multiprocessing
 import signal
 import threading
@@ -36,6 +37,10 @@ class DueFit:
 
     verb = "refit"
     size = 0
+    client = b""
+    received = 0.0
+    deadline = math.inf
+    left = 0.0
 
     def __init__(self, task: str) -> None:
         self.task = task
@@ -51,7 +56,7 @@ class DueFit:
         self.answered = True
         logger.warning("fit of task %s failed: %s", self.task, error.message)
 
-    def fail_unexpectedly(self, error: Exception) -> None:
+    def fail_unexpectedly(self, error: BaseException) -> None:
         """Takes note of the failure; a defect's traceback is told."""
         if isinstance(error, CrkrError):
             self.fail(error)

@@ -13,6 +13,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Final, final
 
 from crkr.learner import Model
@@ -22,6 +23,7 @@ from crkr.server.durations import Durations
 from crkr.server.lane import shutting_down
 from crkr.server.log import Event, LoggedTrial
 from crkr.server.tasks import ServedTask
+from crkr.server.thread_faults import FAULTS, keep_running
 
 __all__ = ["Learning", "Notice"]
 
@@ -96,7 +98,7 @@ class Learning:
         self._deadline = 0.0  # on the monotonic clock, of what is done while closing
         self._backlog = self._asked = 0
         self._threads = [
-            threading.Thread(target=self._run, args=(turns,), name=name, daemon=True)
+            threading.Thread(target=keep_running, args=(partial(self._step, turns),), name=name, daemon=True)
             for name, turns in zip(("learning", "long learning"), self._turns, strict=True)
         ]
 
@@ -172,15 +174,18 @@ class Learning:
                 step.done(None, shutting_down())
         return not any(thread.is_alive() for thread in self._threads)
 
-    def _run(self, turns: _Turns) -> None:
-        while taken := self._take(turns):
-            line, group = taken
-            started = time.monotonic()
-            try:
-                self._apply(group)
-            except BaseException:  # of an answer or a notice: even a panic in the binding must not end learning
-                logger.exception("after a step of task %r", line.task.name)
+    def _step(self, turns: _Turns) -> bool:
+        """One turn of a task; False at the end."""
+        taken = self._take(turns)
+        if taken is None:
+            return False
+        line, group = taken
+        started = time.monotonic()
+        try:
+            self._apply(group)
+        finally:
             self._give_back(line, time.monotonic() - started > _LONG_S)
+        return True
 
     def _take(self, turns: _Turns) -> tuple[_Line, list[_Step]] | None:
         """The next step of the task whose turn it is, with the trials that follow it at once; None: it is the end."""
@@ -236,7 +241,9 @@ class Learning:
         result, failure = None, None
         try:
             result = _learn(task, group, self.steps)
-        except BaseException as error:  # whatever it is, the other tasks go on
+        except BaseException as error:  # a panic or exhausted memory too: this task stops, the others go on
+            if not isinstance(error, Exception):
+                FAULTS.note(error)
             if not task.fault:
                 logger.exception("task %r stops learning after log position %s", task.name, before.version)
             task.fault = task.fault or f"{type(error).__name__}: {error}"
@@ -245,8 +252,8 @@ class Learning:
             if step.done is not None:
                 try:
                     step.done(result, failure)
-                except BaseException:  # this answer's fault alone
-                    logger.exception("an answer about task %r", task.name)
+                except BaseException as error:  # the others are answered
+                    FAULTS.note(error)
         if task.model is not before:
             self._notice(task, before, task.model)
             if task.learner.refit_due:

@@ -24,6 +24,7 @@ from prometheus_client.registry import Collector
 from crkr.protocol import KINDS, PROTOCOL_VERSION
 from crkr.server.durations import BOUNDS_S, Durations
 from crkr.server.tasks import ServedTask
+from crkr.server.thread_faults import FAULTS
 from crkr.server.vitals import Vitals
 from crkr.server.workers import STATES
 
@@ -48,11 +49,12 @@ class VitalsCollector(Collector):
 
     def __init__(self, vitals: Vitals) -> None:
         self._vitals = vitals
+        self._about = {"version": version("crkr"), "protocol": str(PROTOCOL_VERSION)}
 
     def collect(self) -> Iterator[Metric]:
         """All metrics but the process's own."""
-        about = {"version": version("crkr"), "protocol": str(PROTOCOL_VERSION)}
-        yield InfoMetricFamily("crkr_build", "What runs.", about)
+        yield InfoMetricFamily("crkr_build", "What runs.", self._about)
+        yield from self._threads()
         yield from self._requests()
         yield from self._queues()
         yield _histogram("crkr_commit_duration_seconds", "Durable commits to the task log.", self._vitals.commits)
@@ -61,6 +63,17 @@ class VitalsCollector(Collector):
         yield from self._tasks()
         yield from self._workers()
         yield from self._disk()
+
+    def _threads(self) -> Iterator[Metric]:
+        faults = CounterMetricFamily(
+            "crkr_thread_faults", "What threads of the server raised and survived; see its log.", labels=["thread"]
+        )
+        # Those that matter most are there from the start, so that a rate sees their first fault.
+        for thread, count in {"write": 0, "learning": 0, **FAULTS.counts()}.items():
+            faults.add_metric([thread], count)
+        yield faults
+        ended = len(FAULTS.ended())
+        yield GaugeMetricFamily("crkr_threads_ended", "Threads that are no more: restart the server.", ended)
 
     def _requests(self) -> Iterator[Metric]:
         latencies = self._vitals.latencies

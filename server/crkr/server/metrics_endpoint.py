@@ -16,6 +16,7 @@ from prometheus_client import CollectorRegistry, MetricsHandler, ProcessCollecto
 
 from crkr.protocol import Unavailable
 from crkr.server.metrics import VitalsCollector
+from crkr.server.thread_faults import FAULTS, keep_running
 from crkr.server.vitals import Vitals
 
 __all__ = ["MetricsEndpoint"]
@@ -53,12 +54,16 @@ class MetricsEndpoint:
             reason = taken if error.errno == errno.EADDRINUSE else error.strerror or str(error)
             raise Unavailable(f"cannot serve metrics on {_shown(host, port)}: {reason}") from error
         self.address: Final = _shown(host, self._http.server_address[1])
-        self._thread = threading.Thread(target=self._http.serve_forever, args=(_POLL_S,), name="metrics", daemon=True)
+        self._thread = threading.Thread(target=keep_running, args=(self._serve,), name="metrics", daemon=True)
         self._thread.start()
 
     def show(self, vitals: Vitals) -> None:
         """Answers with a server's metrics too, from now on."""
         self._registry.register(VitalsCollector(vitals))
+
+    def _serve(self) -> bool:
+        self._http.serve_forever(_POLL_S)
+        return False
 
     def close(self) -> None:
         """Stops listening."""
@@ -104,6 +109,12 @@ class _Http(socketserver.ThreadingTCPServer):
             with suppress(OSError):  # it ended by itself
                 oldest.shutdown(socket.SHUT_RDWR)
         super().process_request(request, client_address)
+
+    def process_request_thread(self, request: Any, client_address: Any) -> None:
+        try:
+            super().process_request_thread(request, client_address)
+        except BaseException as error:
+            FAULTS.note(error, "metrics")
 
     def shutdown_request(self, request: Any) -> None:
         with self._changing:

@@ -12,6 +12,7 @@ import zenoh
 from crkr.learner import Model
 from crkr.protocol import encoding, pack, pub_key
 from crkr.server.tasks import ServedTask
+from crkr.server.thread_faults import FAULTS
 
 __all__ = ["Notices"]
 
@@ -26,6 +27,10 @@ class Notices:
         self._session = session
         self._encoding = zenoh.Encoding(encoding("model_notice"))
 
+    def move(self, session: zenoh.Session) -> None:
+        """Sends by another session from now on."""
+        self._session = session
+
     def __call__(self, task: ServedTask, before: Model, after: Model) -> None:
         """Says what changed between two models."""
         added, evicted = ([], []) if after.ids is before.ids else _exchanged(before.ids, after.ids)
@@ -39,6 +44,8 @@ class Notices:
             )
         except zenoh.ZError as error:  # the session is closing
             logger.debug("model notice was not sent: %s", error)
+        except BaseException as error:  # a panic beneath; learning goes on, and subscribers catch up by query
+            FAULTS.note(error)
 
 
 def _exchanged(before: Sequence[UUID], after: Sequence[UUID]) -> tuple[list[UUID], list[UUID]]:

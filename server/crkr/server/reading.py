@@ -32,6 +32,7 @@ from crkr.server.learning import Learning
 from crkr.server.log import LogReader
 from crkr.server.request import Request
 from crkr.server.tasks import ServedTask, Tasks, hyperparameters
+from crkr.server.thread_faults import FAULTS
 from crkr.server.workers import Workers
 
 __all__ = ["Reader"]
@@ -66,6 +67,7 @@ class Reader:
         self._server_id, self._tasks, self._log, self._learning = server_id, tasks, log, learning
         self._workers, self._latencies, self._queues = workers, latencies, queues
         self._started, self._started_monotonic = time.time(), time.monotonic()
+        self._version = version("crkr")  # of what runs, which is not what is installed after an upgrade
         self._verbs: Mapping[str, Callable[[Request], None]] = {
             "info": self._info,
             "tasks": self._list_tasks,
@@ -81,15 +83,16 @@ class Reader:
         for request in requests:
             try:
                 self._verbs[request.verb](request)
-            except Exception as error:  # answered; the others go on
+            except BaseException as error:  # answered; the others go on
                 request.fail_unexpectedly(error)
 
     def _info(self, request: Request) -> None:
         tasks, following = self._tasks.page(*_span(request.message(), low=0))
+        threads = FAULTS.summary()
         request.reply(
             {
                 "protocol": PROTOCOL_VERSION,
-                "version": version("crkr"),
+                "version": self._version,
                 "server_id": self._server_id,
                 "started": self._started,
                 "tasks": [task.name for task in tasks],
@@ -99,6 +102,7 @@ class Reader:
                     name: fault[:_LONGEST] for name, fault in islice(self._tasks.faults().items(), _MOST_FAULTS)
                 },
                 "limits": {"states": MAX_STATES, "trials": MAX_TRIALS, "message_bytes": MAX_MESSAGE_BYTES},
+                **({"threads": threads} if threads else {}),
             }
         )
 
@@ -156,6 +160,8 @@ class Reader:
                 status[name] = trouble[:_LONGEST]
         if advice := _advice(task):
             status["advice"] = advice
+        if threads := FAULTS.summary():
+            status["threads"] = threads
         request.reply(status)
 
     def _model(self, request: Request) -> None:
@@ -197,7 +203,7 @@ class Reader:
                 return
             try:
                 request.reply(task.learner.explain(state, sample_id).to_wire())
-            except Exception as error:
+            except BaseException as error:
                 request.fail_unexpectedly(error)
 
         if self._learning.waiting(task)[1] >= _MOST_ASKED:

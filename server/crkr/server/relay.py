@@ -11,6 +11,8 @@ import time
 from collections.abc import Callable
 from typing import Final, final
 
+from crkr.server.thread_faults import keep_running
+
 __all__ = ["Relay"]
 
 _PATIENCE_S: Final = 0.05  # fifty times what work between `begin` and `end` takes
@@ -32,10 +34,10 @@ class Relay:
         self._since: float | None = None  # when the thread on duty began what may hold it up
         self._running: list[threading.Thread] = []
         self._ended = threading.Event()
-        self._watch = threading.Thread(target=self._watching, name=f"{name} relay", daemon=True)
+        self._watch = threading.Thread(target=keep_running, args=(self._look,), name=f"{name} relay", daemon=True)
 
     def start(self) -> None:
-        """Starts the first turn."""
+        """Starts the first turn, or the next where the one before has nothing to take any more."""
         with self._lock:
             self._begin_turn()
 
@@ -54,6 +56,10 @@ class Relay:
                 self._since = None
             return turn == self._turn
 
+    def on_duty(self, turn: int) -> bool:
+        """Whether no other turn has begun since."""
+        return turn == self._turn
+
     def join(self, patience_s: float) -> None:
         """Waits for the thread on duty to end; no other takes over from now on."""
         self._ended.set()
@@ -63,17 +69,18 @@ class Relay:
             thread.join(patience_s)
 
     def _begin_turn(self) -> None:
-        self._turn += 1
-        self._since = None
-        thread = threading.Thread(target=self._work, args=(self._turn,), name=self._name, daemon=True)
-        thread.start()
+        turn = self._turn + 1
+        thread = threading.Thread(target=self._work, args=(turn,), name=self._name, daemon=True)
+        thread.start()  # it finds its turn only after this lock; where the system gives no thread, the old turn goes on
+        self._turn, self._since = turn, None
         self._running.append(thread)
 
-    def _watching(self) -> None:
-        while not self._ended.wait(_PATIENCE_S):
-            with self._lock:
-                if self._since is None or time.monotonic() - self._since <= _PATIENCE_S:
-                    continue
+    def _look(self) -> bool:
+        if self._ended.wait(_PATIENCE_S):
+            return False
+        with self._lock:
+            if self._since is not None and time.monotonic() - self._since > _PATIENCE_S:
                 self._running = [thread for thread in self._running if thread.is_alive()]
                 if len(self._running) < _MOST:
                     self._begin_turn()
+        return True

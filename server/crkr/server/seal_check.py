@@ -21,6 +21,7 @@ from typing import IO, Final, final
 from crkr.protocol import StorageError
 from crkr.server.installed_code import InstalledCode
 from crkr.server.log import SqliteReader
+from crkr.server.thread_faults import run_once
 
 __all__ = ["SealCheck"]
 
@@ -45,7 +46,7 @@ class SealCheck:
         self._stopped, self._starting = threading.Event(), threading.Lock()
         self._process: subprocess.Popen[str] | None = None
         self._code = InstalledCode()
-        self._thread = threading.Thread(target=self._run, name="seals", daemon=True)
+        self._thread = threading.Thread(target=run_once, args=(self._run,), name="seals", daemon=True)
 
     def start(self) -> None:
         """Begins, unless there is nothing to check."""

@@ -14,6 +14,7 @@ from collections.abc import Callable
 from typing import Final, final
 
 from crkr.protocol import LogFormatter
+from crkr.server.thread_faults import keep_running
 
 __all__ = ["StderrLog"]
 
@@ -35,7 +36,7 @@ class StderrLog:
         handler = _Handler(self.add)
         handler.setFormatter(LogFormatter(_FORMAT))
         logging.basicConfig(level=level, handlers=[handler])
-        threading.Thread(target=self._run, name="log", daemon=True).start()
+        threading.Thread(target=keep_running, args=(self._step,), name="log", daemon=True).start()
 
     def add(self, item: str | threading.Event) -> None:
         """Writes a line before long, or loses it; an event is set when all before it is written."""
@@ -50,22 +51,22 @@ class StderrLog:
         self.add(written)
         written.wait(patience_s)
 
-    def _run(self) -> None:
-        while True:
-            item = self._waiting.get()
-            if self._lost:
-                lost, self._lost = self._lost, 0
-                self._write(f"({lost} lines of the log were not written: nobody read them)")
-            if isinstance(item, threading.Event):
-                item.set()
-            else:
-                self._write(item)
+    def _step(self) -> bool:
+        item = self._waiting.get()
+        if self._lost:
+            lost, self._lost = self._lost, 0
+            self._write(f"({lost} lines of the log were not written: nobody read them)")
+        if isinstance(item, threading.Event):
+            item.set()
+        else:
+            self._write(item)
+        return True
 
     def _write(self, line: str) -> None:
         try:
             sys.stderr.write(f"{line}\n")
             sys.stderr.flush()
-        except OSError:  # nobody is there to read it
+        except (OSError, ValueError):  # nobody is there to read it, or it is closed
             self._lost = 0
 
 

@@ -38,6 +38,7 @@ _MOST_BACKLOG: Final = 20_000  # committed trials of a task that wait to be lear
 _MOST_BACKLOG_OF_ALL: Final = 100_000  # the same of all tasks: one that learns slowly leaves room for the others
 _MOST_ASKED: Final = 1024  # steps of a task's learning that are waited for; a commit of reports may add to them
 _MOST_ASKED_OF_ALL: Final = 4096
+_MOST_HELD_BYTES: Final = 64 * 2**20  # of the requests that wait for them
 
 
 @final
@@ -51,6 +52,7 @@ class Writer:
     def __init__(self, log: TaskLog, tasks: Tasks, workers: Workers, learning: Learning) -> None:
         self.commits: Final = Durations()
         self._log, self._tasks, self._workers, self._learning = log, tasks, workers, learning
+        self._held_bytes, self._holding = 0, threading.Lock()
         self._order = threading.Lock()  # from a commit to its place in learning's queue, nothing comes between
 
     def work(self, requests: list[Request]) -> None:
@@ -67,7 +69,7 @@ class Writer:
                     self._create(request)
                 else:
                     self._change(request)
-            except Exception as error:  # answered; the requests behind it go on
+            except BaseException as error:  # answered; the requests behind it go on
                 request.fail_unexpectedly(error)
         self._store(reports)
 
@@ -76,7 +78,7 @@ class Writer:
         for request in requests:
             try:
                 decoded.append((request, *self._decode(request)))
-            except Exception as error:
+            except BaseException as error:
                 request.fail_unexpectedly(error)
         if not decoded:
             return
@@ -108,8 +110,14 @@ class Writer:
         return task, asked
 
     def _refuse_when_full(self, request: Request, task: ServedTask) -> None:
-        if self._learning.waiting(task)[1] >= _MOST_ASKED or self._learning.asked >= _MOST_ASKED_OF_ALL:
+        full = self._held_bytes and self._held_bytes + request.size > _MOST_HELD_BYTES
+        if full or self._learning.waiting(task)[1] >= _MOST_ASKED or self._learning.asked >= _MOST_ASKED_OF_ALL:
             raise busy(request.verb)
+
+    def _hold(self, request: Job, sign: int = 1) -> None:
+        """Counts what a request keeps in memory until learning answers it, or no longer."""
+        with self._holding:
+            self._held_bytes += sign * request.size
 
     def _acknowledge(self, request: Request, task: ServedTask, asked: ReportRequest, result: Stored | Conflict) -> None:
         if isinstance(result, Conflict):
@@ -125,10 +133,13 @@ class Writer:
             fresh = len(result.fresh)
             receipt = Receipt(fresh, len(result.seqs) - fresh, result.seqs, task.model.version)
             stored = isinstance(failure, ShuttingDown)  # only the version lags behind
+            if request.held:
+                self._hold(request, -1)
             _settle(request, None if stored else failure, receipt.to_wire())
 
         if asked.wait:
             request.held = True
+            self._hold(request)
             self._learning.submit(task, result.fresh, reply)
             return
         reply()
@@ -200,10 +211,12 @@ class Writer:
         def answer(result: Any, failure: Exception | None) -> None:
             if isinstance(failure, ShuttingDown) and change.kind in _KNOWN_BEFORE:
                 failure = None  # it is stored; only the version lags behind
+            self._hold(request, -1)
             found = {} if failure else change.answer(task, result)
             _settle(request, failure, {**found, "seq": seq, "model_version": task.model.version})
 
         request.held = True
+        self._hold(request)
         self._learning.submit(task, event, answer)
 
 

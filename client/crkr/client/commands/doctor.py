@@ -17,7 +17,7 @@ import typer
 
 from crkr.client import Client
 from crkr.client.allowed import allowed, others
-from crkr.client.commands.status import named_tasks
+from crkr.client.commands.status import ended_threads, named_tasks, thread_faults
 from crkr.client.config import Connection
 from crkr.client.console import print_json, print_table
 from crkr.client.diagnosis import ANYBODY, NO_SERVER, obstacle
@@ -165,7 +165,15 @@ def _answers(info: dict[str, Any], trips: list[float]) -> list[_Check]:
         ("round trip", True, f"median {median:.2f} ms, worst of {len(trips)} {worst:.2f} ms"),
         ("tasks", True, named_tasks(info)),
         *(("task", False, f"{name}: {fault}") for name, fault in (info.get("faulty") or {}).items()),
+        _threads(info),
     ]
+
+
+def _threads(info: dict[str, Any]) -> _Check:
+    ended, faults = ended_threads(info), thread_faults(info)
+    if ended:
+        return "threads", False, f"ended: {', '.join(ended)}; restart the server, its log says why"
+    return "threads", True, f"all run; faults they survived: {faults}; see the server's log" if faults else "all run"
 
 
 def _seconds(call: Any) -> float:

@@ -20,7 +20,9 @@ _MOST_NAMED = 20  # tasks
 
 def status(
     task: Annotated[str | None, typer.Argument(help="Name of a task; the whole server unless given.")] = None,
-    check: Annotated[bool, typer.Option("--check", help="Print nothing; exit 0 if it answers, 1 if not.")] = False,
+    check: Annotated[
+        bool, typer.Option("--check", help="Print nothing; exit 0 if it answers and all its threads run, 1 if not.")
+    ] = False,
     connect: Connect = None,
     timeout: Timeout = 5.0,
     zenoh_config: ZenohConfig = None,
@@ -38,7 +40,7 @@ def status(
             raise typer.Exit(1) from error
         raise
     if check:
-        return
+        raise typer.Exit(1 if ended_threads(answer) else 0)
     if as_json:
         print_json(answer)
     elif task is None:
@@ -56,6 +58,7 @@ def _show_server(info: Mapping[str, Any]) -> None:
             ("id", info.get("server_id")),
             ("up for", _duration(time.time() - float(info.get("started", time.time())))),
             ("tasks", named_tasks(info)),
+            *_threads(info),
         ],
     )
 
@@ -75,9 +78,29 @@ def _show_task(answer: Mapping[str, Any]) -> None:
         rows.append(("server up for", _duration(float(answer["uptime"]))))
     rows += [(name, str(answer[name])) for name in ("fault", "damage") if answer.get(name)]
     rows += [("advice", str(one.get("message", one))) for one in answer.get("advice") or []]
-    print_table(("task", str(answer.get("task", ""))), rows)
+    print_table(("task", str(answer.get("task", ""))), rows + _threads(answer))
     _show_verbs(answer.get("latency_us") or {}, answer.get("queues") or {})
     _show_workers(answer.get("workers") or [], answer.get("more_workers") or 0)
+
+
+def ended_threads(answer: Mapping[str, Any]) -> list[str]:
+    """Threads that the server needs and lost, as `info` and `status` tell them."""
+    threads = answer.get("threads")
+    ended = threads.get("ended") if isinstance(threads, Mapping) else None
+    return [str(name) for name in ended] if isinstance(ended, list) else []
+
+
+def thread_faults(answer: Mapping[str, Any]) -> str:
+    """What the server's threads survived, in words; "" where nothing went wrong."""
+    threads = answer.get("threads")
+    faults = threads.get("faults") if isinstance(threads, Mapping) else None
+    listed = faults.items() if isinstance(faults, Mapping) else ()
+    return ", ".join(f"{name} {count}" for name, count in listed)
+
+
+def _threads(answer: Mapping[str, Any]) -> list[tuple[str, str]]:
+    rows = [("thread faults", thread_faults(answer)), ("threads ended", ", ".join(ended_threads(answer)))]
+    return [row for row in rows if row[1]]
 
 
 def _show_verbs(latency: Mapping[str, Any], queues: Mapping[str, Any]) -> None:

@@ -7,6 +7,7 @@ import sqlite3
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from itertools import chain, takewhile
 from pathlib import Path
 from typing import Any, Final, final
 from uuid import UUID
@@ -100,7 +101,7 @@ class SqliteReader:
         """All entries past a log position, in order; raises `StorageError` at the first that is damaged or missing."""
         with read_errors(f"read the log of task {task!r}"):
             connection, key = self._connection(), self._key(task)
-            events = iter([_event(row) for row in connection.execute(_READ_EVENTS, (key, after))])
+            events = map(_event, connection.execute(_READ_EVENTS, (key, after)))  # one at a time: each may be large
             event = next(events, None)
             expected = after
             for row in connection.execute(_READ_TRIALS, (key, after)):
@@ -121,9 +122,10 @@ class SqliteReader:
         """The entries up to a log position as `read` gives them, neighbouring trials together; many times quicker."""
         with read_errors(f"read the log of task {task!r}"):
             connection, key = self._connection(), self._key(task)
-            events = [_event(row) for row in connection.execute(_READ_EVENTS, (key, 0))]
+            events = map(_event, connection.execute(_READ_EVENTS, (key, 0)))
+            wanted: Iterator[Event] = takewhile(lambda one: one.seq <= upto, events)
             expected = 0
-            for event in [*(event for event in events if event.seq <= upto), None]:
+            for event in chain(wanted, (None,)):
                 before = upto + 1 if event is None else event.seq
                 cursor = connection.execute(_READ_BLOCKS, (key, expected, before))
                 while rows := cursor.fetchmany(_BLOCK):

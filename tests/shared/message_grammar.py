@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
-from typing import Any, Final, final
+from typing import Any, Final, TypeVar, final
 
 import msgpack
 import numpy as np
@@ -34,6 +34,7 @@ ADMIN_VERBS: Final = ("recost", "remove", "refit", "configure", "archive")
 SERVED: Final = tuple(zenoh.KeyExpr(ROOT + each) for each in ("rpc/*", "task/*/rpc/*", "task/*/admin/*"))
 MIB: Final = 2**20
 Rng = np.random.Generator
+_Value = TypeVar("_Value")
 
 FLOATS: Final = (float("nan"), float("inf"), float("-inf"), -0.0, 5e-324, -5e-324, 1e-308, 1e308, -1.7e308, 1e154)
 WHOLE: Final = (-1, 0, 1, 2, 255, 2**31, 2**32, 2**53 + 1, 2**62, 2**63 - 1, 2**63, 2**64 - 1, -(2**63))
@@ -423,7 +424,7 @@ class Grammar:
         return makers[verb]() if verb in makers else {}
 
 
-def _one(values: Sequence[Any], rng: Rng) -> Any:
+def _one(values: Sequence[_Value], rng: Rng) -> _Value:
     return values[int(rng.integers(len(values)))]
 
 

@@ -24,6 +24,7 @@ from crkr.server.learning import Learning
 from crkr.server.log import Event, PendingReport, Stored, TaskLog
 from crkr.server.request import Job, Request
 from crkr.server.tasks import ServedTask, Tasks
+from crkr.server.waits import Waits
 from crkr.server.workers import Workers
 
 __all__ = ["MOST_REPORTS", "Writer", "refuse_archived"]
@@ -47,6 +48,7 @@ class Writer:
     def __init__(self, log: TaskLog, tasks: Tasks, workers: Workers, learning: Learning) -> None:
         self.commits: Final = Durations()
         self._log, self._tasks, self._workers, self._learning = log, tasks, workers, learning
+        self._waits = Waits()
         self._order = threading.Lock()  # from a commit to its place in learning's queue, nothing comes between
 
     def work(self, requests: list[Request]) -> None:
@@ -103,7 +105,7 @@ class Writer:
         return task, asked
 
     def _refuse_when_full(self, request: Request) -> None:
-        if self._learning.asked >= _MOST_ASKED:
+        if self._learning.asked >= _MOST_ASKED or self._waits.too_long(request.task):
             raise busy(request.verb)
 
     def _acknowledge(self, request: Request, task: ServedTask, asked: ReportRequest, result: Stored | Conflict) -> None:
@@ -124,7 +126,7 @@ class Writer:
 
         if asked.wait:
             request.held = True
-            self._learning.submit(task, result.fresh, reply)
+            self._learning.submit(task, result.fresh, self._waits.timed(task.name, reply))
             return
         reply()
         if result.fresh:
@@ -196,7 +198,7 @@ class Writer:
             _settle(request, failure, {**found, "seq": seq, "model_version": task.model.version})
 
         request.held = True
-        self._learning.submit(task, event, answer)
+        self._learning.submit(task, event, self._waits.timed(task.name, answer))
 
 
 def _settle(request: Job, failure: Exception | None, message: Mapping[str, Any]) -> None:

@@ -6,7 +6,8 @@ from typing import Any, Final
 
 import numpy as np
 import pytest
-from message_grammar import FLOATS, WHOLE, Grammar, encoded, specification
+from odd_values import FLOATS, WHOLE, encoded
+from valid_messages import specification, trial
 
 Ask = Callable[..., dict[str, Any]]
 Rng = np.random.Generator
@@ -40,16 +41,16 @@ def odd(name: str, rng: Rng) -> dict[str, Any]:
     return spec
 
 
-def practised(spec: dict[str, Any], grammar: Grammar, rng: Rng) -> list[dict[str, Any]]:
+def practised(spec: dict[str, Any], rng: Rng) -> list[dict[str, Any]]:
     """Trials that are in order, some in absurd states and with absurd outcomes."""
     trials = []
     for number in range(TRIALS):
-        trial = {**grammar.trial(spec, number + 1), "kind": "trial", "success": True}
+        made = {**trial(spec, number + 1, rng), "kind": "trial", "success": True}
         if rng.random() < 0.05:
-            trial["state"] = encoded(STATES[int(rng.integers(len(STATES)))])
-        if "outcome" in trial and rng.random() < 0.1:
-            trial["outcome"] = encoded(rng.choice([1e308, -1e308, np.nan, 5e-324, 0.1], 2))
-        trials.append(trial)
+            made["state"] = encoded(STATES[int(rng.integers(len(STATES)))])
+        if "outcome" in made and rng.random() < 0.1:
+            made["outcome"] = encoded(rng.choice([1e308, -1e308, np.nan, 5e-324, 0.1], 2))
+        trials.append(made)
     return trials
 
 
@@ -104,7 +105,6 @@ def test_a_specification_that_is_taken_gives_finite_goals_within_its_bounds(
 ) -> None:
     server, rng = start_server(), np.random.default_rng(count)
     ask = connect(server.endpoint)
-    grammar = Grammar(count, {}, "", [], "")
     taken, wrong = [], []
     for number in range(count):
         spec = odd(f"odd-{number}", rng)
@@ -115,7 +115,7 @@ def test_a_specification_that_is_taken_gives_finite_goals_within_its_bounds(
             continue
         taken.append(spec["name"])
         practice = Practice(ask, spec)
-        practice.ask("rpc/report", {"trials": practised(spec, grammar, rng), "wait": True})
+        practice.ask("rpc/report", {"trials": practised(spec, rng), "wait": True})
         for state in STATES:
             practice.predict(state, explore=False)
             practice.predict(state, explore=True)

@@ -1,4 +1,4 @@
-"""Whoever sends what nobody should send gets a typed error; the server keeps nothing of it and answers as before."""
+"""What nobody should send is answered by a typed error; the server keeps nothing of it and answers as before."""
 
 import os
 import socket

@@ -26,6 +26,7 @@ from crkr.server.learning import Learning
 from crkr.server.log import Event, PendingReport, Stored, TaskLog
 from crkr.server.request import Job, Request
 from crkr.server.tasks import ServedTask, Tasks
+from crkr.server.waits import Waits
 from crkr.server.workers import Workers
 
 __all__ = ["MOST_REPORTS", "Writer", "refuse_archived"]
@@ -53,6 +54,7 @@ class Writer:
         self.commits: Final = Durations()
         self._log, self._tasks, self._workers, self._learning = log, tasks, workers, learning
         self._held_bytes, self._holding = 0, threading.Lock()
+        self._waits = Waits()
         self._order = threading.Lock()  # from a commit to its place in learning's queue, nothing comes between
 
     def work(self, requests: list[Request]) -> None:
@@ -111,7 +113,8 @@ class Writer:
 
     def _refuse_when_full(self, request: Request, task: ServedTask) -> None:
         full = self._held_bytes and self._held_bytes + request.size > _MOST_HELD_BYTES
-        if full or self._learning.waiting(task)[1] >= _MOST_ASKED or self._learning.asked >= _MOST_ASKED_OF_ALL:
+        waiting = self._learning.waiting(task)[1] >= _MOST_ASKED or self._learning.asked >= _MOST_ASKED_OF_ALL
+        if full or waiting or self._waits.too_long(task.name):
             raise busy(request.verb)
 
     def _hold(self, request: Job, sign: int = 1) -> None:
@@ -140,7 +143,7 @@ class Writer:
         if asked.wait:
             request.held = True
             self._hold(request)
-            self._learning.submit(task, result.fresh, reply)
+            self._learning.submit(task, result.fresh, self._waits.timed(task.name, reply))
             return
         reply()
         if result.fresh:
@@ -217,7 +220,7 @@ class Writer:
 
         request.held = True
         self._hold(request)
-        self._learning.submit(task, event, answer)
+        self._learning.submit(task, event, self._waits.timed(task.name, answer))
 
 
 def _settle(request: Job, failure: Exception | None, message: Mapping[str, Any]) -> None:

@@ -13,7 +13,7 @@ import zenoh
 
 from crkr.client import Client
 from crkr.protocol import pack, task_key
-from crkr.protocol.call_metadata import CallMetadata
+from crkr.protocol.messages.call_metadata import CallMetadata
 from crkr.server.lane import Lane
 from crkr.server.latency import Latencies
 from crkr.server.request import Request

@@ -38,7 +38,7 @@ from crkr.protocol import (
     unpack,
 )
 from crkr.protocol.checks import finite_array, flag, integer, required, text
-from crkr.protocol.predict_bytes import packed_question, read_answer
+from crkr.protocol.messages.predict_bytes import packed_question, read_answer
 
 if TYPE_CHECKING:
     from crkr.client.mirror import Mirror

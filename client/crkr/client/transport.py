@@ -35,7 +35,7 @@ from crkr.protocol import (
     error_from_wire,
     unpack,
 )
-from crkr.protocol.call_metadata import CallMetadata
+from crkr.protocol.messages.call_metadata import CallMetadata
 
 __all__ = ["Transport"]
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from crkr.protocol import Geom, Invalid, Trace, geoms_from_wire
 from crkr.protocol.checks import choice, flag, integer, number, required, text
-from crkr.protocol.telemetry import SHAPES
+from crkr.protocol.messages.telemetry import SHAPES
 from crkr.protocol.trial import KINDS
 
 __all__ = ["Telemetry"]

@@ -16,7 +16,6 @@ from crkr.protocol.codec import (
     pack_around,
     unpack,
 )
-from crkr.protocol.dimensions import GoalDimension, OutcomeEntry, StateDimension
 from crkr.protocol.errors import (
     Busy,
     Conflict,
@@ -33,7 +32,6 @@ from crkr.protocol.errors import (
     error_from_wire,
     error_to_wire,
 )
-from crkr.protocol.explanation import Explanation, Neighbour, SampleExplanation
 from crkr.protocol.ids import demonstration_id, evaluation_id, random_ids, task_id, training_id
 from crkr.protocol.keys import (
     ADMIN_VERBS,
@@ -49,15 +47,17 @@ from crkr.protocol.keys import (
     split_key,
     task_key,
 )
-from crkr.protocol.limits import MOST_ACTIVE, MOST_KEPT, refuse_absurd
-from crkr.protocol.make_trials import make_trials
+from crkr.protocol.messages.explanation import Explanation, Neighbour, SampleExplanation
+from crkr.protocol.messages.predict import Prediction, PredictRequest, check_states
+from crkr.protocol.messages.report import Receipt, ReportRequest, StoredTrial
+from crkr.protocol.messages.report_arguments import make_trials
+from crkr.protocol.messages.sizes import check_model_fits, most_active, most_states, most_states_answered
+from crkr.protocol.messages.telemetry import MAX_TELEMETRY_BYTES, Geom, Trace, geoms_from_wire, geoms_to_wire
 from crkr.protocol.plain_text import LogFormatter, printable
-from crkr.protocol.predict import Prediction, PredictRequest, check_states
-from crkr.protocol.report import Receipt, ReportRequest, StoredTrial
-from crkr.protocol.settings import Exploration, KernelSettings
-from crkr.protocol.sizes import check_model_fits, most_active, most_states, most_states_answered
-from crkr.protocol.task_spec import CHANGEABLE, TaskSpec
-from crkr.protocol.telemetry import MAX_TELEMETRY_BYTES, Geom, Trace, geoms_from_wire, geoms_to_wire
+from crkr.protocol.specification.dimensions import GoalDimension, OutcomeEntry, StateDimension
+from crkr.protocol.specification.limits import MOST_ACTIVE, MOST_KEPT, refuse_absurd
+from crkr.protocol.specification.settings import Exploration, KernelSettings
+from crkr.protocol.specification.task_spec import CHANGEABLE, TaskSpec
 from crkr.protocol.trial import KINDS, Trial
 
 __all__ = [

@@ -15,7 +15,7 @@ from crkr.protocol.checks import ROUNDING, SINGLE_STEP, choice, cost_number, fin
 from crkr.protocol.codec import Array, frozen_from_wire, id_from_wire
 from crkr.protocol.errors import Invalid
 from crkr.protocol.info import MAX_INFO_BYTES, check_info, info_from_wire
-from crkr.protocol.task_spec import TaskSpec
+from crkr.protocol.specification.task_spec import TaskSpec
 
 __all__ = ["KINDS", "MAX_INFO_BYTES", "Trial"]
 

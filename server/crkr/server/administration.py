@@ -19,7 +19,7 @@ from crkr.protocol import (
 from crkr.protocol.checks import cost_number, finite_array, required, text
 from crkr.protocol.codec import array_from_wire
 from crkr.protocol.errors import shown
-from crkr.protocol.task_spec import CHANGEABLE
+from crkr.protocol.specification.task_spec import CHANGEABLE
 from crkr.server.tasks import ServedTask, hyperparameters
 
 __all__ = ["Change", "read_change"]

@@ -27,7 +27,7 @@ from crkr.protocol import (
     random_ids,
     unpack,
 )
-from crkr.protocol.predict_bytes import Question, packed_rows, read_question, state_bytes
+from crkr.protocol.messages.predict_bytes import Question, packed_rows, read_question, state_bytes
 from crkr.server.request import Request
 from crkr.server.tasks import ServedTask, Tasks
 from crkr.server.workers import Workers

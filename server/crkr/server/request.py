@@ -26,7 +26,7 @@ from crkr.protocol import (
     split_key,
     unpack,
 )
-from crkr.protocol.call_metadata import LONGEST_METADATA, CallMetadata
+from crkr.protocol.messages.call_metadata import LONGEST_METADATA, CallMetadata
 from crkr.server.latency import Latencies
 from crkr.server.thread_faults import FAULTS
 

@@ -16,7 +16,7 @@ import msgpack
 import numpy as np
 
 from crkr.protocol.codec import Array, pack
-from crkr.protocol.predict import Prediction
+from crkr.protocol.messages.predict import Prediction
 
 __all__ = ["Question", "packed_question", "packed_rows", "read_answer", "read_question", "state_bytes"]
 

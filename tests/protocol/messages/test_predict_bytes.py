@@ -9,7 +9,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from crkr.protocol import Prediction, PredictRequest, pack, unpack
-from crkr.protocol.predict_bytes import Question, packed_question, packed_rows, read_answer, read_question, state_bytes
+from crkr.protocol.messages.predict_bytes import (
+    Question,
+    packed_question,
+    packed_rows,
+    read_answer,
+    read_question,
+    state_bytes,
+)
 
 
 def prediction(rng: np.random.Generator, shape: tuple[int, ...], p: int, q: int) -> Prediction:

@@ -9,7 +9,7 @@ from typing import Final
 
 from crkr.protocol.codec import MAX_MESSAGE_BYTES, MAX_STATES
 from crkr.protocol.errors import Invalid
-from crkr.protocol.task_spec import TaskSpec
+from crkr.protocol.specification.task_spec import TaskSpec
 
 __all__ = ["check_model_fits", "most_active", "most_states", "most_states_answered"]
 

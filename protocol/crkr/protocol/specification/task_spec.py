@@ -12,10 +12,10 @@ import numpy as np
 
 from crkr.protocol.checks import choice, integer, number, required, text
 from crkr.protocol.codec import Array
-from crkr.protocol.dimensions import GoalDimension, OutcomeEntry, StateDimension
 from crkr.protocol.errors import Invalid
 from crkr.protocol.keys import check_name
-from crkr.protocol.settings import LARGEST, Exploration, KernelSettings
+from crkr.protocol.specification.dimensions import GoalDimension, OutcomeEntry, StateDimension
+from crkr.protocol.specification.settings import LARGEST, Exploration, KernelSettings
 
 __all__ = ["CHANGEABLE", "TaskSpec"]
 

@@ -10,7 +10,7 @@ from crkr.protocol.checks import entries, flag, integer, number, required
 from crkr.protocol.codec import MAX_TRIALS
 from crkr.protocol.errors import Invalid
 from crkr.protocol.info import restored_info
-from crkr.protocol.task_spec import TaskSpec
+from crkr.protocol.specification.task_spec import TaskSpec
 from crkr.protocol.trial import Trial
 
 __all__ = ["Receipt", "ReportRequest", "StoredTrial"]

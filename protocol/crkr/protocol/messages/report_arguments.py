@@ -11,8 +11,8 @@ import numpy as np
 from crkr.protocol.checks import finite_array, refuse_masked
 from crkr.protocol.codec import id_from_wire
 from crkr.protocol.errors import Invalid
-from crkr.protocol.predict import Prediction, check_states
-from crkr.protocol.task_spec import TaskSpec
+from crkr.protocol.messages.predict import Prediction, check_states
+from crkr.protocol.specification.task_spec import TaskSpec
 from crkr.protocol.trial import Trial
 
 __all__ = ["make_trials"]

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 from crkr.protocol.errors import Invalid
 
 if TYPE_CHECKING:
-    from crkr.protocol.task_spec import TaskSpec
+    from crkr.protocol.specification.task_spec import TaskSpec
 
 __all__ = ["MOST_ACTIVE", "MOST_KEPT", "refuse_absurd"]
 

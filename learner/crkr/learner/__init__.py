@@ -6,26 +6,26 @@ brackets in the docstrings are those of docs/references.md.
 
 from __future__ import annotations
 
-from crkr.learner.anms import Anms
-from crkr.learner.anms_batch import radii, radii_kdtree, top
-from crkr.learner.columns import TrialColumns
 from crkr.learner.cost import saturated_cost
-from crkr.learner.draws import draw_ids, uniforms
 from crkr.learner.evidence import FitProblem, FitResult, fit, log_evidence
-from crkr.learner.explorer import Choice, Explorer, GaussianExplorer
-from crkr.learner.first_come import FirstCome
+from crkr.learner.exploration.draws import draw_ids, uniforms
+from crkr.learner.exploration.explorer import Choice, Explorer, GaussianExplorer
+from crkr.learner.exploration.outcome_explorer import OutcomeExplorer
+from crkr.learner.exploration.truncated_normal import truncated_normal
 from crkr.learner.kernel import Kernel
 from crkr.learner.knowledge import check_fit
 from crkr.learner.learner import SELECTORS, Learner
 from crkr.learner.model import Model
 from crkr.learner.noise import noise_variances
-from crkr.learner.outcome_explorer import OutcomeExplorer
 from crkr.learner.parameters import Parameters
 from crkr.learner.regression import Regression
-from crkr.learner.review import Review
-from crkr.learner.selection import RadiiCache
-from crkr.learner.selector import Radii, Selector, SelectorFactory, Standing
-from crkr.learner.truncated_normal import truncated_normal
+from crkr.learner.samples.columns import TrialColumns
+from crkr.learner.samples.report_review import Review
+from crkr.learner.selection.anms import Anms
+from crkr.learner.selection.anms_batch import radii, radii_kdtree, top
+from crkr.learner.selection.eligible_rows import RadiiCache
+from crkr.learner.selection.first_come import FirstCome
+from crkr.learner.selection.selector import Radii, Selector, SelectorFactory, Standing
 
 __all__ = [
     "SELECTORS",

@@ -11,8 +11,8 @@ from typing import Final, final
 
 import numpy as np
 
-from crkr.learner.anms_batch import Indices
 from crkr.learner.kernel import Kernel
+from crkr.learner.selection.anms_batch import Indices
 from crkr.protocol import Array
 
 __all__ = ["KernelMatrix"]

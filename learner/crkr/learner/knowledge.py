@@ -10,17 +10,17 @@ from uuid import UUID
 
 import numpy as np
 
-from crkr.learner.anms_batch import Indices
-from crkr.learner.columns import TrialColumns
-from crkr.learner.explorer import Explorer, GaussianExplorer
+from crkr.learner.exploration.explorer import Explorer, GaussianExplorer
+from crkr.learner.exploration.outcome_model import OutcomeLearning
 from crkr.learner.kernel import Kernel
 from crkr.learner.kernel_matrix import KernelMatrix
 from crkr.learner.model import Model
-from crkr.learner.outcome_learning import OutcomeLearning
 from crkr.learner.parameters import Parameters
-from crkr.learner.selection import RadiiCache, Selection
-from crkr.learner.selector import SelectorFactory
-from crkr.learner.store import SampleStore
+from crkr.learner.samples.columns import TrialColumns
+from crkr.learner.samples.store import SampleStore
+from crkr.learner.selection.anms_batch import Indices
+from crkr.learner.selection.eligible_rows import RadiiCache, Selection
+from crkr.learner.selection.selector import SelectorFactory
 from crkr.protocol import Array, Conflict, Invalid, TaskSpec, Trial, id_from_wire
 from crkr.protocol.checks import cost_number, finite_array, number
 

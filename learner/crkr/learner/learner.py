@@ -9,17 +9,17 @@ from uuid import UUID
 
 import numpy as np
 
-from crkr.learner.anms import Anms
-from crkr.learner.columns import TrialColumns
-from crkr.learner.draws import draw_ids
 from crkr.learner.evidence import FitProblem, FitResult, fit
-from crkr.learner.explain import explain
-from crkr.learner.first_come import FirstCome
+from crkr.learner.explanation import explain
+from crkr.learner.exploration.draws import draw_ids
 from crkr.learner.knowledge import Knowledge
 from crkr.learner.model import Model
-from crkr.learner.review import Review, review
-from crkr.learner.selection import RadiiCache
-from crkr.learner.selector import SelectorFactory
+from crkr.learner.samples.columns import TrialColumns
+from crkr.learner.samples.report_review import Review, review
+from crkr.learner.selection.anms import Anms
+from crkr.learner.selection.eligible_rows import RadiiCache
+from crkr.learner.selection.first_come import FirstCome
+from crkr.learner.selection.selector import SelectorFactory
 from crkr.protocol import (
     Explanation,
     NoSamples,

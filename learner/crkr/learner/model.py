@@ -10,7 +10,7 @@ from uuid import UUID
 
 import numpy as np
 
-from crkr.learner.explorer import Explorer, GaussianExplorer
+from crkr.learner.exploration.explorer import Explorer, GaussianExplorer
 from crkr.learner.parameters import Parameters
 from crkr.learner.regression import KernelMaker, Regression
 from crkr.protocol import Array, Invalid, NoSamples, NovelState, Prediction, check_states, id_from_wire

@@ -10,7 +10,7 @@ from operator import itemgetter
 from typing import Any, Final, final
 from uuid import UUID
 
-from crkr.learner.explain import explain
+from crkr.learner.explanation import explain
 from crkr.protocol import (
     KINDS,
     MAX_MESSAGE_BYTES,

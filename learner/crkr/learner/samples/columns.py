@@ -8,7 +8,7 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
-from crkr.learner.anms_batch import Indices
+from crkr.learner.selection.anms_batch import Indices
 from crkr.protocol import Array, Invalid
 
 __all__ = ["TrialColumns"]

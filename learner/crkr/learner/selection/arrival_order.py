@@ -6,8 +6,8 @@ from typing import final
 
 import numpy as np
 
-from crkr.learner.anms_batch import Indices
-from crkr.learner.growable import Growable
+from crkr.learner.samples.growable_array import Growable
+from crkr.learner.selection.anms_batch import Indices
 
 __all__ = ["ArrivalOrder"]
 

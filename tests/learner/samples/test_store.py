@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from crkr.learner.id_index import IdIndex, id_words
-from crkr.learner.store import SampleStore
+from crkr.learner.samples.id_index import IdIndex, id_words
+from crkr.learner.samples.store import SampleStore
 from crkr.protocol import Conflict, Invalid, TaskSpec, Trial
 
 SPACE = UUID(int=1)

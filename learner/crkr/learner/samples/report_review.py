@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import final
 from uuid import UUID
 
-from crkr.learner.store import SampleStore
+from crkr.learner.samples.store import SampleStore
 from crkr.protocol import Conflict, Trial
 
 __all__ = ["Review", "review"]

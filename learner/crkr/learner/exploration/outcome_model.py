@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import final
 
-from crkr.learner.anms_batch import Indices
-from crkr.learner.outcome_explorer import OutcomeExplorer
-from crkr.learner.outcome_index import OutcomeIndex
-from crkr.learner.outcome_scales import OutcomeScales
-from crkr.learner.store import SampleStore
+from crkr.learner.exploration.outcome_explorer import OutcomeExplorer
+from crkr.learner.exploration.outcome_index import OutcomeIndex
+from crkr.learner.exploration.outcome_scales import OutcomeScales
+from crkr.learner.samples.store import SampleStore
+from crkr.learner.selection.anms_batch import Indices
 from crkr.protocol import TaskSpec
 
 __all__ = ["OutcomeLearning"]

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from crkr.learner.outcome_index import ObservedTrials, in_single_precision
-from crkr.learner.outcome_nearest import nearest
+from crkr.learner.exploration.outcome_index import ObservedTrials, in_single_precision
+from crkr.learner.exploration.outcome_neighbours import nearest
 from crkr.protocol import Array
 
 

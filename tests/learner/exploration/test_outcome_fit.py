@@ -7,11 +7,11 @@ import pytest
 from sklearn.linear_model import Ridge
 
 from crkr.learner import Kernel
-from crkr.learner.outcome_fit import RIDGE, LocalFit, fit_locally
-from crkr.learner.outcome_index import ObservedTrials, in_single_precision
-from crkr.learner.outcome_nearest import nearest
-from crkr.learner.outcome_posterior import linearise
-from crkr.learner.outcome_scales import GOAL_SHARE, OutcomeScales
+from crkr.learner.exploration.outcome_fit import RIDGE, LocalFit, fit_locally
+from crkr.learner.exploration.outcome_index import ObservedTrials, in_single_precision
+from crkr.learner.exploration.outcome_neighbours import nearest
+from crkr.learner.exploration.outcome_posterior import linearise
+from crkr.learner.exploration.outcome_scales import GOAL_SHARE, OutcomeScales
 from crkr.protocol import Array
 
 D, P = 3, 4

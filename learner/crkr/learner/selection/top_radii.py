@@ -12,7 +12,7 @@ from typing import Final, final
 
 import numpy as np
 
-from crkr.learner.anms_batch import Indices, top
+from crkr.learner.selection.anms_batch import Indices, top
 from crkr.protocol import Array
 
 __all__ = ["Reserve"]

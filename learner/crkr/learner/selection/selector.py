@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol, final
 
-from crkr.learner.anms_batch import Indices
+from crkr.learner.selection.anms_batch import Indices
 from crkr.protocol import Array
 
 __all__ = ["Radii", "Selector", "SelectorFactory", "Standing"]

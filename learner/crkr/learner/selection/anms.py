@@ -18,11 +18,11 @@ from typing import Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from crkr.learner.anms_batch import Indices, radii_kdtree
-from crkr.learner.growable import Growable
 from crkr.learner.kernel import squared_distances
-from crkr.learner.reserve import Reserve
-from crkr.learner.selector import Radii, Standing
+from crkr.learner.samples.growable_array import Growable
+from crkr.learner.selection.anms_batch import Indices, radii_kdtree
+from crkr.learner.selection.selector import Radii, Standing
+from crkr.learner.selection.top_radii import Reserve
 from crkr.protocol import Array
 
 __all__ = ["Anms"]

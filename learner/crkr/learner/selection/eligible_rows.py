@@ -8,11 +8,11 @@ from typing import final
 
 import numpy as np
 
-from crkr.learner.anms_batch import Indices
-from crkr.learner.growable import Growable
 from crkr.learner.kernel import Kernel
-from crkr.learner.selector import Radii, Selector, SelectorFactory
-from crkr.learner.store import SampleStore
+from crkr.learner.samples.growable_array import Growable
+from crkr.learner.samples.store import SampleStore
+from crkr.learner.selection.anms_batch import Indices
+from crkr.learner.selection.selector import Radii, Selector, SelectorFactory
 from crkr.protocol import Array, TaskSpec
 
 __all__ = ["RadiiCache", "Selection"]

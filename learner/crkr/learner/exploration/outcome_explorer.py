@@ -21,12 +21,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from crkr.learner.anms_batch import Indices
-from crkr.learner.draws import uniforms
-from crkr.learner.explorer import Choice, GaussianExplorer
-from crkr.learner.outcome_index import ObservedTrials
-from crkr.learner.outcome_posterior import OutcomeLine, Posterior, condition, linearise
-from crkr.learner.outcome_scales import GOAL_SHARE, OutcomeScales
+from crkr.learner.exploration.draws import uniforms
+from crkr.learner.exploration.explorer import Choice, GaussianExplorer
+from crkr.learner.exploration.outcome_index import ObservedTrials
+from crkr.learner.exploration.outcome_posterior import OutcomeLine, Posterior, condition, linearise
+from crkr.learner.exploration.outcome_scales import GOAL_SHARE, OutcomeScales
+from crkr.learner.selection.anms_batch import Indices
 from crkr.protocol import Array, Exploration, TaskSpec
 
 __all__ = ["OutcomeExplorer"]

@@ -9,10 +9,10 @@ from uuid import UUID
 import numpy as np
 from numpy.typing import NDArray
 
-from crkr.learner.anms_batch import Indices
-from crkr.learner.columns import TrialColumns
-from crkr.learner.growable import Growable
-from crkr.learner.id_index import IdIndex, id_words
+from crkr.learner.samples.columns import TrialColumns
+from crkr.learner.samples.growable_array import Growable
+from crkr.learner.samples.id_index import IdIndex, id_words
+from crkr.learner.selection.anms_batch import Indices
 from crkr.protocol import KINDS, Array, Conflict, Invalid, Trial
 
 __all__ = ["SampleStore"]

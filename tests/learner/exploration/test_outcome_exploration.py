@@ -12,8 +12,8 @@ import pytest
 from scipy.special import ndtri
 
 from crkr.learner import Learner, Model, OutcomeExplorer, truncated_normal, uniforms
-from crkr.learner.outcome_posterior import condition, linearise
-from crkr.learner.outcome_scales import GOAL_SHARE
+from crkr.learner.exploration.outcome_posterior import condition, linearise
+from crkr.learner.exploration.outcome_scales import GOAL_SHARE
 from crkr.protocol import Array, Prediction, TaskSpec, Trial, make_trials, pack, unpack
 
 MakeSpec = Callable[..., TaskSpec]

@@ -8,9 +8,9 @@ from uuid import uuid4
 import numpy as np
 import pytest
 
-from crkr.learner.outcome_index import OutcomeIndex
-from crkr.learner.outcome_scales import OutcomeScales
-from crkr.learner.store import SampleStore
+from crkr.learner.exploration.outcome_index import OutcomeIndex
+from crkr.learner.exploration.outcome_scales import OutcomeScales
+from crkr.learner.samples.store import SampleStore
 from crkr.protocol import Array, TaskSpec, Trial
 
 MakeSpec = Callable[..., TaskSpec]

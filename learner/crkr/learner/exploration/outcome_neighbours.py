@@ -14,9 +14,9 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from crkr.learner.anms_batch import Indices
+from crkr.learner.exploration.outcome_index import LARGEST_SINGLE, ObservedTrials
 from crkr.learner.kernel import squared_distances
-from crkr.learner.outcome_index import LARGEST_SINGLE, ObservedTrials
+from crkr.learner.selection.anms_batch import Indices
 from crkr.protocol import Array
 
 __all__ = ["Neighbours", "nearest"]

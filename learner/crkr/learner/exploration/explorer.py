@@ -10,8 +10,8 @@ from uuid import UUID
 import numpy as np
 from numpy.typing import NDArray
 
-from crkr.learner.draws import uniforms
-from crkr.learner.truncated_normal import truncated_normal
+from crkr.learner.exploration.draws import uniforms
+from crkr.learner.exploration.truncated_normal import truncated_normal
 from crkr.protocol import Array, TaskSpec
 
 __all__ = ["Choice", "Explorer", "GaussianExplorer"]

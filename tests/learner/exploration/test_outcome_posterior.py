@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.stats import chi2
 
-from crkr.learner.outcome_fit import LocalFit
-from crkr.learner.outcome_posterior import OutcomeLine, condition
+from crkr.learner.exploration.outcome_fit import LocalFit
+from crkr.learner.exploration.outcome_posterior import OutcomeLine, condition
 from crkr.protocol import Array
 
 P = 5

@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from crkr.learner import Learner
-from crkr.learner.outcome_index import SEARCHED
+from crkr.learner.exploration.outcome_index import SEARCHED
 from crkr.protocol import TaskSpec
 from crkr.protocol.specification.settings import MOST_TRIALS
 
-PAGE = (Path(__file__).parents[2] / "docs" / "outcomes.md").read_text()
+PAGE = (Path(__file__).parents[3] / "docs" / "outcomes.md").read_text()
 
 
 def test_the_settings_shown_are_the_defaults() -> None:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import final
 
-from crkr.learner.anms_batch import Indices
-from crkr.learner.order import ArrivalOrder
-from crkr.learner.selector import Radii, Standing
+from crkr.learner.selection.anms_batch import Indices
+from crkr.learner.selection.arrival_order import ArrivalOrder
+from crkr.learner.selection.selector import Radii, Standing
 from crkr.protocol import MOST_KEPT, Array
 
 __all__ = ["FirstCome"]

@@ -8,8 +8,8 @@ from typing import Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from crkr.learner.anms_batch import Indices
 from crkr.learner.kernel import Kernel
+from crkr.learner.selection.anms_batch import Indices
 from crkr.protocol import Array, TaskSpec
 
 __all__ = ["GOAL_SHARE", "OutcomeScales"]

@@ -19,9 +19,9 @@ from typing import Final, final
 import numpy as np
 from scipy.linalg import lapack
 
-from crkr.learner.anms_batch import Indices
-from crkr.learner.outcome_nearest import Neighbours
-from crkr.learner.outcome_scales import GOAL_SHARE
+from crkr.learner.exploration.outcome_neighbours import Neighbours
+from crkr.learner.exploration.outcome_scales import GOAL_SHARE
+from crkr.learner.selection.anms_batch import Indices
 from crkr.protocol import Array
 
 __all__ = ["RIDGE", "LocalFit", "fit_locally", "inverse_factor", "times"]

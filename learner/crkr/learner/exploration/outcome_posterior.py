@@ -17,11 +17,11 @@ from typing import Final, final
 
 import numpy as np
 
-from crkr.learner.anms_batch import Indices
-from crkr.learner.outcome_fit import LocalFit, fit_locally, inverse_factor, times
-from crkr.learner.outcome_index import ObservedTrials
-from crkr.learner.outcome_nearest import nearest
-from crkr.learner.outcome_scales import GOAL_SHARE, OutcomeScales
+from crkr.learner.exploration.outcome_fit import LocalFit, fit_locally, inverse_factor, times
+from crkr.learner.exploration.outcome_index import ObservedTrials
+from crkr.learner.exploration.outcome_neighbours import nearest
+from crkr.learner.exploration.outcome_scales import GOAL_SHARE, OutcomeScales
+from crkr.learner.selection.anms_batch import Indices
 from crkr.protocol import Array
 
 __all__ = ["OutcomeLine", "Posterior", "condition", "linearise"]

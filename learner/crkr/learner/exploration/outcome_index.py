@@ -16,10 +16,10 @@ from typing import Any, Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from crkr.learner.anms_batch import Indices
-from crkr.learner.growable import Growable
-from crkr.learner.outcome_scales import OutcomeScales
-from crkr.learner.store import SampleStore
+from crkr.learner.exploration.outcome_scales import OutcomeScales
+from crkr.learner.samples.growable_array import Growable
+from crkr.learner.samples.store import SampleStore
+from crkr.learner.selection.anms_batch import Indices
 from crkr.protocol import Array
 
 __all__ = ["LARGEST_SINGLE", "SEARCHED", "ObservedTrials", "OutcomeIndex", "in_single_precision"]

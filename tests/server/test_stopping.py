@@ -13,12 +13,12 @@ import pytest
 import zenoh
 
 from crkr.protocol import TaskSpec, task_key
-from crkr.server.filling import fill
-from crkr.server.intake import Intake
-from crkr.server.lane import Lane, busy
-from crkr.server.latency import Latencies
-from crkr.server.refusing import Refuser
-from crkr.server.request import Request
+from crkr.server.inspection.synthetic_log import fill
+from crkr.server.metrics.latency import Latencies
+from crkr.server.queries.intake import Intake
+from crkr.server.queries.queue import Lane, busy
+from crkr.server.queries.refusals import Refuser
+from crkr.server.queries.request import Request
 from crkr.server.session import open_session
 
 Ask = Callable[..., dict[str, Any]]

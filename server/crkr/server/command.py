@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 import typer
 
 if TYPE_CHECKING:
-    from crkr.server.metrics_endpoint import MetricsEndpoint
+    from crkr.server.metrics.endpoint import MetricsEndpoint
     from crkr.server.stderr_log import StderrLog
 
 __all__ = ["server"]
@@ -74,7 +74,7 @@ def server(
 
 
 def _metrics_endpoint(given: str) -> MetricsEndpoint:
-    from crkr.server.metrics_endpoint import MetricsEndpoint
+    from crkr.server.metrics.endpoint import MetricsEndpoint
 
     host, _, port = given.rpartition(":")
     if not port.isascii() or not port.isdigit() or int(port) > _LAST_PORT:

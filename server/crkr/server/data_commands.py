@@ -23,10 +23,10 @@ def replay(
     from rich.console import Console
 
     from crkr.protocol import StorageError, printable
+    from crkr.server.inspection.verification import verify
     from crkr.server.log import SqliteReader
+    from crkr.server.log.acknowledged_count import lost_end, read_tally
     from crkr.server.log.schema import FILE_NAME
-    from crkr.server.log.tally import lost_end, read_tally
-    from crkr.server.replaying import verify
 
     watched = sys.stderr.isatty()
     errors = Console(stderr=True, soft_wrap=True, markup=False, highlight=False, emoji=False, quiet=not watched)

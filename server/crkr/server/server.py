@@ -16,27 +16,27 @@ import zenoh
 from crkr.learner import Model
 from crkr.protocol import StorageError, live_server_key, rpc_key, task_key
 from crkr.protocol.keys import admin_key
-from crkr.server.durations import Durations
-from crkr.server.fitting import DueFit, Fitting
-from crkr.server.intake import Intake
-from crkr.server.lane import Lane
-from crkr.server.latency import Latencies
-from crkr.server.learning import Learning
+from crkr.server.inspection.seal_check import SealCheck
+from crkr.server.learning.fit import DueFit, Fitting
+from crkr.server.learning.notices import Notices
+from crkr.server.learning.radii_cache import RadiiKeeper
+from crkr.server.learning.restore import FEW, restore_all
+from crkr.server.learning.tasks import ServedTask, Tasks
+from crkr.server.learning.thread import Learning
 from crkr.server.log import SqliteLog
-from crkr.server.notices import Notices
-from crkr.server.predicting import Predictor
-from crkr.server.radii_cache import RadiiKeeper
-from crkr.server.reading import Reader
-from crkr.server.refusing import Refuser
-from crkr.server.restoring import FEW, restore_all
-from crkr.server.seal_check import SealCheck
+from crkr.server.metrics.durations import Durations
+from crkr.server.metrics.latency import Latencies
+from crkr.server.metrics.vitals import Vitals
+from crkr.server.queries.intake import Intake
+from crkr.server.queries.queue import Lane
+from crkr.server.queries.refusals import Refuser
 from crkr.server.session import DEFAULT_LISTEN, endpoints, open_session
 from crkr.server.session_renewal import SessionRenewal, cut_connections
-from crkr.server.tasks import ServedTask, Tasks
 from crkr.server.thread_faults import FAULTS
-from crkr.server.vitals import Vitals
+from crkr.server.verbs.predict import Predictor
+from crkr.server.verbs.read import Reader
+from crkr.server.verbs.report import MOST_REPORTS, Writer
 from crkr.server.workers import Workers
-from crkr.server.writing import MOST_REPORTS, Writer
 
 __all__ = ["DEFAULT_LISTEN", "Server", "ServerSettings"]
 

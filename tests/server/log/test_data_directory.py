@@ -14,8 +14,8 @@ from uuid import UUID
 import pytest
 
 from crkr.protocol import StorageError, TaskSpec, Trial
+from crkr.server.inspection.stored_run import StoredRun
 from crkr.server.log import PendingReport, SqliteLog, SqliteReader
-from crkr.server.stored_run import StoredRun
 
 AXIS = {"name": "x", "unit": "m", "low": -1.0, "high": 1.0}
 SPEC = TaskSpec.from_dict({"name": "reach", "state": [AXIS], "goal": [AXIS]})

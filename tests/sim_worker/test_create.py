@@ -23,7 +23,7 @@ class Absent(importlib.abc.MetaPathFinder):
             raise ModuleNotFoundError(f"No module named {{name!r}}", name=name)
 sys.meta_path.insert(0, Absent())
 sys.argv = ["crkr", *{words!r}]
-from crkr.client.main import main
+from crkr.client.cli.main import main
 main()
 """
 

@@ -18,8 +18,8 @@ import pytest
 import zenoh
 
 from crkr.client import Client
-from crkr.client.config import Connection
-from crkr.client.handshake import refusal
+from crkr.client.network.config import Connection
+from crkr.client.network.tls_handshake import refusal
 from crkr.protocol import Invalid, Unavailable
 from crkr.server.session import _config
 

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from crkr.client.aio import AsyncClient, AsyncSubscription, AsyncTask
     from crkr.client.client import Client, TaskSummary
-    from crkr.client.outbox import Outbox
-    from crkr.client.presence import Presence
-    from crkr.client.role import Role
-    from crkr.client.subscription import Subscription
+    from crkr.client.network.presence import Presence
+    from crkr.client.network.role import Role
+    from crkr.client.network.subscription import Subscription
+    from crkr.client.outbox.outbox import Outbox
     from crkr.client.task import Task
 
 __all__ = [

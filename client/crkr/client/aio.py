@@ -17,10 +17,10 @@ from types import TracebackType
 from typing import Any, Concatenate, Final, ParamSpec, TypeVar, final
 
 from crkr.client.client import Client, TaskSummary
-from crkr.client.daemons import Daemons
-from crkr.client.forks import check_not_forked
-from crkr.client.rpc import positive
-from crkr.client.subscription import TOPICS, Subscription
+from crkr.client.network.daemon_threads import Daemons
+from crkr.client.network.forks import check_not_forked
+from crkr.client.network.rpc import positive
+from crkr.client.network.subscription import TOPICS, Subscription
 from crkr.client.task import Task
 from crkr.protocol import Invalid, StoredTrial, TaskSpec, Unavailable
 

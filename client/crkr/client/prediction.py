@@ -6,7 +6,7 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
-from crkr.client.rpc import Rpc, reading
+from crkr.client.network.rpc import Rpc, reading
 from crkr.protocol import Array, NovelState, Prediction, task_key
 
 __all__ = ["ask", "ask_in_parts"]

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any, Final, final
 from uuid import UUID
 
 from crkr.client.goals import Belief, check_receipt
-from crkr.client.outbox import Outbox
+from crkr.client.network.presence import Presence
+from crkr.client.network.rpc import Rpc, plain, reading
+from crkr.client.network.subscription import TOPICS, Subscription
+from crkr.client.outbox.outbox import Outbox
 from crkr.client.prediction import ask, ask_in_parts
-from crkr.client.presence import Presence
-from crkr.client.rpc import Rpc, plain, reading
-from crkr.client.subscription import TOPICS, Subscription
 from crkr.client.task_lookup import look_up
 from crkr.protocol import (
     MAX_TELEMETRY_BYTES,

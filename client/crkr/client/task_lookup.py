@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Final
 
-from crkr.client.rpc import Rpc, reading
+from crkr.client.network.rpc import Rpc, reading
 from crkr.protocol import TaskSpec, UnknownTask, Unsupported, task_key
 from crkr.protocol.checks import required
 

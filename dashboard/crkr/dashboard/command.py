@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Annotated, Final, final
 import typer
 
 from crkr.client import Client
-from crkr.client.console import configure_logging, stderr, stdout
-from crkr.client.options import Connect, LogLevel, Overwrite, Timeout, ZenohConfig
-from crkr.client.output_file import beside, check_output
+from crkr.client.cli.console import configure_logging, stderr, stdout
+from crkr.client.cli.options import Connect, LogLevel, Overwrite, Timeout, ZenohConfig
+from crkr.client.cli.output_file import beside, check_output
 from crkr.dashboard.ports import choose_port
 from crkr.dashboard.sessions import LiveSession, ReplaySession, Session
 from crkr.dashboard.viewer import Viewer, page_address, require_display, stream_address

@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, final
 
-from crkr.client.subscription import Subscription
+from crkr.client.network.subscription import Subscription
 from crkr.dashboard.poller import News
 from crkr.dashboard.progress import EpochResult, Progress, Row
 from crkr.dashboard.telemetry import Telemetry

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Final, Protocol, final
 
 from crkr.client import Client, Task
-from crkr.client.commands.counting import counting
+from crkr.client.cli.progress import counting
 from crkr.dashboard.feed import Feed
 from crkr.dashboard.progress import Progress
 from crkr.dashboard.replaying import StoredRun, open_run, replay

@@ -13,7 +13,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from crkr.client.guard import require
+from crkr.client.cli.error_lines import require
 
 __all__ = ["Row", "learn"]
 

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from crkr.client.console import print_json, print_table, stdout
-from crkr.client.options import Json
+from crkr.client.cli.console import print_json, print_table, stdout
+from crkr.client.cli.options import Json
 
 __all__ = ["sim"]
 

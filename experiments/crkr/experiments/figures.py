@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
-from crkr.client.console import json_data, print_json, print_table, stderr, stdout
-from crkr.client.options import Json, Overwrite
-from crkr.client.output_file import check_output, output_file
+from crkr.client.cli.console import json_data, print_json, print_table, stderr, stdout
+from crkr.client.cli.options import Json, Overwrite
+from crkr.client.cli.output_file import check_output, output_file
 
 if TYPE_CHECKING:
     from crkr.experiments.learning_run import LearningRun

@@ -14,7 +14,7 @@ if not os.environ.get("SOURCE_DATE_EPOCH", "0").isdecimal():  # a build's clock,
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
-from crkr.client.output_file import check_output, output_file
+from crkr.client.cli.output_file import check_output, output_file
 from crkr.protocol import Invalid
 
 __all__ = ["check_figure", "mpl", "new_figure", "save_figure"]

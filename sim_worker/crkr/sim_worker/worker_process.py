@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Final, final
 
 from crkr.client import Client, Task
-from crkr.client.console import configure_logging
+from crkr.client.cli.console import configure_logging
 from crkr.protocol import CrkrError
 from crkr.sim_worker.evaluator import Evaluator
 from crkr.sim_worker.guarded_skill import GuardedSkill, keep_standard_output

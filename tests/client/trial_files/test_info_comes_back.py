@@ -14,7 +14,7 @@ from hypothesis.extra import numpy as st_numpy
 from typer.testing import CliRunner
 
 from crkr.client import Client, Task
-from crkr.client.frame import build
+from crkr.client.cli.subcommands import build
 from crkr.client.trial_files import Layout, reading, writing
 from crkr.protocol import Invalid, StoredTrial, TaskSpec, Trial, pack, unpack
 from crkr.server.log import PendingReport, SqliteLog

@@ -88,7 +88,7 @@ def _shifted():
     return _real() + struct.unpack("<q", _file.read(8))[0]
 time.time = _shifted
 """
-SERVER = "from crkr.client.main import main; main()"
+SERVER = "from crkr.client.cli.main import main; main()"
 REPORTER = """
 import sys, time
 from uuid import UUID

@@ -130,7 +130,7 @@ def test_without_the_library_for_films_one_line_says_what_to_install(tmp_path: P
         "            raise ModuleNotFoundError(f'No module named {name!r}', name=name)\n"
         "sys.meta_path.insert(0, Absent())\n"
         "sys.argv = ['crkr', 'render', 'trial.mp4']\n"
-        "from crkr.client.main import main\n"
+        "from crkr.client.cli.main import main\n"
         "main()\n"
     )
     done = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, check=False)

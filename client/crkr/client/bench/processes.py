@@ -13,8 +13,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Final, final
 
+from crkr.client.cli.error_lines import require
 from crkr.client.client import Client
-from crkr.client.guard import require
 from crkr.protocol import Unavailable
 
 __all__ = ["Load", "echoing", "loading", "serving"]

@@ -17,8 +17,8 @@ from crkr.client.bench import workload
 from crkr.client.bench.figures import Figure, p50, show
 from crkr.client.bench.processes import serving
 from crkr.client.bench.timing import in_turns
+from crkr.client.cli.options import Json
 from crkr.client.client import Client
-from crkr.client.options import Json
 from crkr.protocol import Array
 
 __all__ = ["task_figures", "tasks"]

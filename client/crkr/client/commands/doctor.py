@@ -16,14 +16,14 @@ from typing import Annotated, Any
 import typer
 
 from crkr.client import Client
-from crkr.client.allowed import allowed, others
+from crkr.client.cli.console import print_json, print_table
+from crkr.client.cli.options import Connect, Json, Timeout, ZenohConfig
 from crkr.client.commands.status import ended_threads, named_tasks, thread_faults
-from crkr.client.config import Connection
-from crkr.client.console import print_json, print_table
-from crkr.client.diagnosis import ANYBODY, NO_SERVER, obstacle
-from crkr.client.handshake import certificate_end
-from crkr.client.options import Connect, Json, Timeout, ZenohConfig
-from crkr.client.outbox_file import OutboxFile
+from crkr.client.network.access_rights import allowed, others
+from crkr.client.network.config import Connection
+from crkr.client.network.diagnosis import ANYBODY, NO_SERVER, obstacle
+from crkr.client.network.tls_handshake import certificate_end
+from crkr.client.outbox.outbox_file import OutboxFile
 from crkr.protocol import PROTOCOL_VERSION, CrkrError, Invalid, Unavailable
 
 __all__ = ["doctor"]

@@ -8,10 +8,10 @@ from typing import Annotated, Final
 import typer
 
 from crkr.client import Client
-from crkr.client.commands.counting import counting
-from crkr.client.console import print_json, stdout
-from crkr.client.options import Connect, Json, Overwrite, Timeout, ZenohConfig
-from crkr.client.output_file import check_output
+from crkr.client.cli.console import print_json, stdout
+from crkr.client.cli.options import Connect, Json, Overwrite, Timeout, ZenohConfig
+from crkr.client.cli.output_file import check_output
+from crkr.client.cli.progress import counting
 
 __all__ = ["export"]
 

@@ -9,9 +9,9 @@ from typing import Annotated
 import typer
 
 from crkr.client import Client
-from crkr.client.commands.counting import counting
-from crkr.client.console import print_json, stderr, stdout
-from crkr.client.options import Connect, Json, Timeout, ZenohConfig
+from crkr.client.cli.console import print_json, stderr, stdout
+from crkr.client.cli.options import Connect, Json, Timeout, ZenohConfig
+from crkr.client.cli.progress import counting
 from crkr.protocol import Internal
 
 __all__ = ["import_"]
@@ -34,7 +34,7 @@ def import_(
     A file that something else wrote needs the columns id, kind, success, cost, state.NAME and goal.NAME.
     """
     from crkr.client.trial_files import Layout, check_kind, reading
-    from crkr.client.trial_files.importing import import_rows
+    from crkr.client.trial_files.trial_import import import_rows
 
     check_kind(file)
     with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:

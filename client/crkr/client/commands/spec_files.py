@@ -11,7 +11,7 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, Final
 
-from crkr.client.guard import reason_missing
+from crkr.client.cli.error_lines import reason_missing
 from crkr.protocol import Invalid, StorageError, TaskSpec, Unsupported
 
 __all__ = ["STANDARD_OUTPUT", "read_spec", "skill_spec", "write_spec"]

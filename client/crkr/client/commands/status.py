@@ -9,8 +9,8 @@ from typing import Annotated, Any
 import typer
 
 from crkr.client import Client
-from crkr.client.console import print_json, print_table, stdout
-from crkr.client.options import Connect, Json, Timeout, ZenohConfig
+from crkr.client.cli.console import print_json, print_table, stdout
+from crkr.client.cli.options import Connect, Json, Timeout, ZenohConfig
 from crkr.protocol import CrkrError
 
 __all__ = ["named_tasks", "status"]

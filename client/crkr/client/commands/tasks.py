@@ -8,9 +8,9 @@ from typing import Annotated
 import typer
 
 from crkr.client import Client
+from crkr.client.cli.console import print_json, print_table, stdout
+from crkr.client.cli.options import Connect, Json, Timeout, ZenohConfig
 from crkr.client.commands.spec_files import STANDARD_OUTPUT, read_spec, skill_spec, write_spec
-from crkr.client.console import print_json, print_table, stdout
-from crkr.client.options import Connect, Json, Timeout, ZenohConfig
 from crkr.protocol import TaskSpec
 
 __all__ = ["create", "tasks"]

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import IO, Any, Final, Protocol, final
 from uuid import uuid4
 
-from crkr.client.guard import require
+from crkr.client.cli.error_lines import require
 from crkr.client.trial_files.layout import FileRow, Layout
 from crkr.protocol import Invalid, StorageError
 

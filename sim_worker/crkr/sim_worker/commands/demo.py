@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
-from crkr.client.console import print_json, stderr, stdout
-from crkr.client.options import Json
+from crkr.client.cli.console import print_json, stderr, stdout
+from crkr.client.cli.options import Json
 
 if TYPE_CHECKING:
     from crkr.sim_worker.demo.session import DemoResult

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from crkr.client.console import print_json, stderr, stdout
-from crkr.client.options import Connect, Json, Timeout, ZenohConfig
+from crkr.client.cli.console import print_json, stderr, stdout
+from crkr.client.cli.options import Connect, Json, Timeout, ZenohConfig
 
 if TYPE_CHECKING:
     from crkr.client import Task

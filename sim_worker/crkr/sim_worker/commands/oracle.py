@@ -6,8 +6,8 @@ from typing import Annotated
 
 import typer
 
-from crkr.client.console import print_json, stderr, stdout
-from crkr.client.options import Json
+from crkr.client.cli.console import print_json, stderr, stdout
+from crkr.client.cli.options import Json
 
 __all__ = ["oracle"]
 

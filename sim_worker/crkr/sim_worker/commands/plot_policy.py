@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from crkr.client.console import stderr
-from crkr.client.options import Connect, Overwrite, Timeout, ZenohConfig
+from crkr.client.cli.console import stderr
+from crkr.client.cli.options import Connect, Overwrite, Timeout, ZenohConfig
 
 __all__ = ["policy"]
 
@@ -32,7 +32,7 @@ def policy(
     Example: crkr plot policy table-tennis --vary ball_y --out policy.png
     """
     from crkr.client import Client
-    from crkr.client.commands.vectors import parse_vector
+    from crkr.client.cli.vectors import parse_vector
     from crkr.sim_worker.figure import check_figure
     from crkr.sim_worker.table_tennis.policy_figure import draw_policy, varied
 

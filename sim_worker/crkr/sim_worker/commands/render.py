@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from crkr.client.console import stderr
-from crkr.client.options import Connect, Overwrite, Timeout, ZenohConfig
+from crkr.client.cli.console import stderr
+from crkr.client.cli.options import Connect, Overwrite, Timeout, ZenohConfig
 
 if TYPE_CHECKING:
     from crkr.client import Task
@@ -47,9 +47,9 @@ def render(
     Example: crkr render --trial 2f1c6a1e-6c1f-4b52-9f0e-0d6a3c5b7e11 --slow 4 trial.mp4
     """
     from crkr.client import Client
-    from crkr.client.commands.vectors import parse_ids
-    from crkr.client.guard import require
-    from crkr.client.output_file import check_output
+    from crkr.client.cli.error_lines import require
+    from crkr.client.cli.output_file import check_output
+    from crkr.client.cli.vectors import parse_ids
     from crkr.sim_worker.skill import SkillOptions
 
     if trial is not None and (launcher is not None or seed or ball):

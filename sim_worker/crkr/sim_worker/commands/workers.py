@@ -8,8 +8,8 @@ from typing import Annotated
 
 import typer
 
-from crkr.client.console import configure_logging, print_json, stderr
-from crkr.client.options import Connect, Json, LogLevel, Timeout, ZenohConfig
+from crkr.client.cli.console import configure_logging, print_json, stderr
+from crkr.client.cli.options import Connect, Json, LogLevel, Timeout, ZenohConfig
 
 __all__ = ["workers"]
 

@@ -12,7 +12,7 @@ import threading
 import time
 from typing import Final
 
-from crkr.client.main import main
+from crkr.client.cli.main import main
 
 __all__: list[str] = []
 

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from crkr.client.output_file import output_file
+from crkr.client.cli.output_file import output_file
 from crkr.protocol import Invalid
 
 __all__ = ["FILMS", "Picture", "save_film"]

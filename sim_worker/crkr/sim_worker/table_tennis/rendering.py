@@ -9,7 +9,7 @@ from typing import Any, Final, Self, final
 
 import numpy as np
 
-from crkr.client.output_file import output_file
+from crkr.client.cli.output_file import output_file
 from crkr.protocol import Invalid
 from crkr.sim_worker.table_tennis.engine import make_renderer, mujoco
 from crkr.sim_worker.table_tennis.film import Picture

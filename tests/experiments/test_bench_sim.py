@@ -9,8 +9,8 @@ from typer.testing import CliRunner
 
 from crkr.experiments.bench_sim import sim
 from crkr.experiments.bench_sim_measure import worst_violation
-from crkr.sim_worker.table_tennis.bench_primitive import draw_goals
-from crkr.sim_worker.table_tennis.primitive import JointLimits
+from crkr.sim_worker.primitives.bench_primitive import draw_goals
+from crkr.sim_worker.primitives.stroke import JointLimits
 
 ARM = JointLimits(np.full(6, -3.0), np.full(6, 3.0), np.full(6, 2.5), np.full(6, 25.0))
 

@@ -13,15 +13,15 @@ import numpy as np
 
 from crkr.experiments.bench_learn import Row
 from crkr.learner import Learner
+from crkr.sim_worker.primitives.bench_primitive import SwingGoal, bench_primitive
+from crkr.sim_worker.primitives.stroke import Infeasible, JointLimits, Primitive
 from crkr.sim_worker.randomness import demonstration_rng, training_rng
 from crkr.sim_worker.skill import Floats, SkillOptions
-from crkr.sim_worker.table_tennis.arm import ACCELERATION_LIMITS, SPEED_LIMITS, Arm
-from crkr.sim_worker.table_tennis.batch import AnalyticBatch
-from crkr.sim_worker.table_tennis.bench_environments import bench_environments
-from crkr.sim_worker.table_tennis.bench_primitive import SwingGoal, bench_primitive
-from crkr.sim_worker.table_tennis.environments import ENVIRONMENTS
+from crkr.sim_worker.table_tennis.arm.dynamics import ACCELERATION_LIMITS, SPEED_LIMITS, Arm
+from crkr.sim_worker.table_tennis.environments.analytic_batch import AnalyticBatch
+from crkr.sim_worker.table_tennis.environments.bench_environments import bench_environments
+from crkr.sim_worker.table_tennis.environments.environments import ENVIRONMENTS
 from crkr.sim_worker.table_tennis.planner import HOME
-from crkr.sim_worker.table_tennis.primitive import Infeasible, JointLimits, Primitive
 from crkr.sim_worker.table_tennis.table_tennis import TableTennis
 
 __all__ = ["Run", "measure", "training_run", "worst_violation"]

@@ -126,10 +126,10 @@ def policy(
     Example: crkr experiment policy --vary ball_y --environment analytic
     """
     from crkr.experiments.learning_run import Course, taught
-    from crkr.sim_worker.progress import Progress
     from crkr.sim_worker.skill import SkillOptions
-    from crkr.sim_worker.skills import load_skill
-    from crkr.sim_worker.table_tennis.policy_figure import draw_policy, varied
+    from crkr.sim_worker.skill_registry import load_skill
+    from crkr.sim_worker.supervisor.progress import Progress
+    from crkr.sim_worker.table_tennis.pictures.policy_figure import draw_policy, varied
 
     path = _file(out, "policy.png", overwrite)
     skill = load_skill("table-tennis", SkillOptions(environment=environment, preset=preset))

@@ -68,9 +68,9 @@ def learning(
 
 def _planner(skill: str, options: SkillOptions, course: Course, jobs: int) -> dict[str, float]:
     """The planner's rates on the contexts that judge; empty where the skill has none."""
-    from crkr.sim_worker.oracle import Planner, play_oracle
-    from crkr.sim_worker.progress import Progress
-    from crkr.sim_worker.skills import load_skill
+    from crkr.sim_worker.evaluation.oracle import Planner, play_oracle
+    from crkr.sim_worker.skill_registry import load_skill
+    from crkr.sim_worker.supervisor.progress import Progress
 
     if not isinstance(load_skill(skill, options), Planner):
         return {}

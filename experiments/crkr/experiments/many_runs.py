@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from crkr.client.cli.console import stderr
 from crkr.experiments.learning_run import Course, LearningRun, learn_once
 from crkr.sim_worker.guarded_skill import GuardedSkill
-from crkr.sim_worker.pool import spread
-from crkr.sim_worker.progress import Progress
 from crkr.sim_worker.skill import Skill, SkillOptions
+from crkr.sim_worker.supervisor.pool import spread
+from crkr.sim_worker.supervisor.progress import Progress
 
 __all__ = ["learn_many"]
 

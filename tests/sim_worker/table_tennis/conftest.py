@@ -5,8 +5,8 @@ import pytest
 from crkr.client.tally import Tally
 from crkr.sim_worker.randomness import fresh_rng
 from crkr.sim_worker.skill import SkillOptions
-from crkr.sim_worker.table_tennis.arm import Arm
-from crkr.sim_worker.table_tennis.simulation import Simulation
+from crkr.sim_worker.table_tennis.arm.dynamics import Arm
+from crkr.sim_worker.table_tennis.environments.simulation import Simulation
 from crkr.sim_worker.table_tennis.table_tennis import TableTennis
 
 

@@ -9,7 +9,7 @@ from crkr.client.tally import Tally
 from crkr.protocol import Invalid, TaskSpec
 from crkr.sim_worker.skill import Skill, SkillOptions
 from crkr.sim_worker.table_tennis import TableTennis, make, make_cautious
-from crkr.sim_worker.table_tennis.launchers import LAUNCHERS
+from crkr.sim_worker.table_tennis.ball.launchers import LAUNCHERS
 
 
 @pytest.fixture

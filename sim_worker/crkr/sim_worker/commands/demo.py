@@ -46,12 +46,12 @@ def demo(
 
     Example: crkr demo --trials 1500 --seed 3
     """
-    from crkr.sim_worker.demo.display import print_summary, script
-    from crkr.sim_worker.demo.equipment import check_equipment
+    from crkr.sim_worker.demo.requirements import check_equipment
     from crkr.sim_worker.demo.session import run_demo
     from crkr.sim_worker.demo.settings import DemoSettings
-    from crkr.sim_worker.progress import Progress
-    from crkr.sim_worker.skills import check_skill, default_task
+    from crkr.sim_worker.demo.summary import print_summary, script
+    from crkr.sim_worker.skill_registry import check_skill, default_task
+    from crkr.sim_worker.supervisor.progress import Progress
 
     check_equipment(dashboard)
     settings = DemoSettings(

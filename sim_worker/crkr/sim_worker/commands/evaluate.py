@@ -50,9 +50,9 @@ def evaluate(
     from crkr.client import Client
     from crkr.sim_worker import assessment
     from crkr.sim_worker.guarded_skill import GuardedSkill
-    from crkr.sim_worker.progress import Progress
     from crkr.sim_worker.skill import SkillOptions, options_in_force
-    from crkr.sim_worker.skills import load_skill
+    from crkr.sim_worker.skill_registry import load_skill
+    from crkr.sim_worker.supervisor.progress import Progress
 
     name = skill or task
     options = SkillOptions(environment=environment, launcher=launcher, name=task)
@@ -91,7 +91,7 @@ def evaluate(
 
 def _before(task: Task) -> dict[str, Any] | None:
     """Success on the fixed contexts at epoch 0, if the log has it near its start."""
-    from crkr.sim_worker.run_history import RunHistory
+    from crkr.sim_worker.evaluation.run_history import RunHistory
 
     history = RunHistory(task.spec)
     for stored in task.iter_samples():

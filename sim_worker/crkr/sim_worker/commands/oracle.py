@@ -28,9 +28,9 @@ def oracle(
 
     Example: crkr oracle --launcher wide --balls 200 --seed 7
     """
-    from crkr.sim_worker.oracle import play_oracle
-    from crkr.sim_worker.progress import Progress
+    from crkr.sim_worker.evaluation.oracle import play_oracle
     from crkr.sim_worker.skill import SkillOptions
+    from crkr.sim_worker.supervisor.progress import Progress
 
     options = SkillOptions(environment=environment, launcher=launcher)
     with Progress(stderr, "planning", balls, "contexts") as progress:

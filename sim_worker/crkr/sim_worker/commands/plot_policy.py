@@ -34,7 +34,7 @@ def policy(
     from crkr.client import Client
     from crkr.client.cli.vectors import parse_vector
     from crkr.sim_worker.figure import check_figure
-    from crkr.sim_worker.table_tennis.policy_figure import draw_policy, varied
+    from crkr.sim_worker.table_tennis.pictures.policy_figure import draw_policy, varied
 
     check_figure(out, overwrite=overwrite)
     with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:

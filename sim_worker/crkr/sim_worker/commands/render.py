@@ -58,8 +58,8 @@ def render(
     if out.suffix == ".mp4":
         require("av")
 
-    from crkr.sim_worker.table_tennis.render_trial import check_kind, planned, render_trial
-    from crkr.sim_worker.table_tennis.stored_trial import compared, stored_trial
+    from crkr.sim_worker.table_tennis.pictures.stored_trial import compared, stored_trial
+    from crkr.sim_worker.table_tennis.pictures.trial_picture import check_kind, planned, render_trial
 
     check_kind(out, sequence=sequence, slow=slow)
     check_output(out, overwrite=overwrite)
@@ -82,7 +82,7 @@ def render(
 
 def _player(name: str, options: SkillOptions) -> TableTennis:
     from crkr.protocol import Invalid
-    from crkr.sim_worker.skills import load_skill
+    from crkr.sim_worker.skill_registry import load_skill
     from crkr.sim_worker.table_tennis import TableTennis
 
     player = load_skill(name, options)

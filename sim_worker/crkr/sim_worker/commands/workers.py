@@ -74,11 +74,11 @@ def workers(
     Example: crkr workers table-tennis -n 4 --trials 1500
     """
     from crkr.client import Client
-    from crkr.sim_worker.launch import launch
-    from crkr.sim_worker.launch_plan import LaunchPlan
-    from crkr.sim_worker.progress import Progress
     from crkr.sim_worker.randomness import unpredictable_seed
     from crkr.sim_worker.skill import SkillOptions
+    from crkr.sim_worker.supervisor.launch import launch
+    from crkr.sim_worker.supervisor.launch_plan import LaunchPlan
+    from crkr.sim_worker.supervisor.progress import Progress
 
     configure_logging(log_level)
     for number in (signal.SIGTERM, signal.SIGHUP):  # as process 1 of a container they have no default

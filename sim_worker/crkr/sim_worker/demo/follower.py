@@ -8,7 +8,7 @@ from typing import Any, Final, final
 
 from crkr.client import Client, Task
 from crkr.protocol import CrkrError, UnknownTask
-from crkr.sim_worker.run_history import RunHistory
+from crkr.sim_worker.evaluation.run_history import RunHistory
 
 __all__ = ["Follower"]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from crkr.sim_worker.run_history import RunHistory
+from crkr.sim_worker.evaluation.run_history import RunHistory
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

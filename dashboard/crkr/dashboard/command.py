@@ -19,7 +19,7 @@ from crkr.client.cli.output_file import beside, check_output
 from crkr.dashboard.ports import choose_port
 from crkr.dashboard.sessions import LiveSession, ReplaySession, Session
 from crkr.dashboard.viewer import Viewer, page_address, require_display, stream_address
-from crkr.dashboard.watching import StopRequest
+from crkr.dashboard.watch_loop import StopRequest
 from crkr.protocol import Unavailable
 
 if TYPE_CHECKING:

@@ -12,9 +12,9 @@ from crkr.client import Client, Task
 from crkr.client.cli.progress import counting
 from crkr.dashboard.feed import Feed
 from crkr.dashboard.progress import Progress
-from crkr.dashboard.replaying import StoredRun, open_run, replay
+from crkr.dashboard.stored_run import StoredRun, open_run, replay
 from crkr.dashboard.view import View
-from crkr.dashboard.watching import StopRequest, follow, wait_for_task
+from crkr.dashboard.watch_loop import StopRequest, follow, wait_for_task
 from crkr.protocol import CrkrError
 
 __all__ = ["LiveSession", "ReplaySession", "Session"]

@@ -15,8 +15,8 @@ from rich.panel import Panel
 from rich.table import Column, Table
 from rich.text import Text
 
-from crkr.dashboard.facts import latency_ms, percent, reason_rows, speed, worker_rows
 from crkr.dashboard.progress import EpochResult, Progress, Row
+from crkr.dashboard.status_facts import latency_ms, percent, reason_rows, speed, worker_rows
 from crkr.dashboard.telemetry import Telemetry
 from crkr.protocol import printable
 

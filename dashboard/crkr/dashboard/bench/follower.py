@@ -27,7 +27,7 @@ from crkr.dashboard.ports import choose_port
 from crkr.dashboard.progress import EpochResult, Progress, Row
 from crkr.dashboard.telemetry import Telemetry
 from crkr.dashboard.view import View
-from crkr.dashboard.watching import follow
+from crkr.dashboard.watch_loop import follow
 
 __all__ = ["Meter", "Nothing", "growth", "main"]
 

@@ -10,11 +10,11 @@ from typing import Any, Final, final
 
 import rerun as rr
 
-from crkr.dashboard.facts import latency_ms
 from crkr.dashboard.names import Names
 from crkr.dashboard.progress import WINDOW, EpochResult, Progress, Row
 from crkr.dashboard.rerun_view.colours import CRITERIA, FAILURE, LINES, MEAN, NEUTRAL, SUCCESS, shade
 from crkr.dashboard.rerun_view.recording import Recording
+from crkr.dashboard.status_facts import latency_ms
 from crkr.dashboard.telemetry import Telemetry
 
 __all__ = ["Curves"]

@@ -10,13 +10,13 @@ from typing import Any, Final, final
 
 import rerun as rr
 
-from crkr.dashboard.facts import speed
 from crkr.dashboard.progress import EpochResult, Progress, Row
 from crkr.dashboard.rerun_view.blueprint import arrangement
 from crkr.dashboard.rerun_view.curves import Curves
-from crkr.dashboard.rerun_view.documents import guide_page, outcomes_page, status_page
 from crkr.dashboard.rerun_view.recording import Recording
-from crkr.dashboard.rerun_view.stage import Stage
+from crkr.dashboard.rerun_view.robots import Stage
+from crkr.dashboard.rerun_view.text_panels import guide_page, outcomes_page, status_page
+from crkr.dashboard.status_facts import speed
 from crkr.dashboard.telemetry import Telemetry
 from crkr.dashboard.view import NOT_STORED
 from crkr.protocol import printable

@@ -6,8 +6,8 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-from crkr.dashboard.facts import latency_ms, percent, reason_rows, worker_rows
 from crkr.dashboard.progress import WINDOW, Progress
+from crkr.dashboard.status_facts import latency_ms, percent, reason_rows, worker_rows
 from crkr.protocol import printable
 
 __all__ = ["guide_page", "outcomes_page", "status_page"]

@@ -8,7 +8,7 @@ import pytest
 from crkr.dashboard import Progress, Row, Telemetry
 from crkr.dashboard.rerun_view import Recording
 from crkr.dashboard.rerun_view.colours import FAILURE, SUCCESS
-from crkr.dashboard.rerun_view.stage import ALONE_S, MAX_BODIES, MAX_PATHS, MAX_SCENES, MAX_WORKERS, Stage
+from crkr.dashboard.rerun_view.robots import ALONE_S, MAX_BODIES, MAX_PATHS, MAX_SCENES, MAX_WORKERS, Stage
 from crkr.protocol import StoredTrial
 
 Make = Callable[..., StoredTrial]

@@ -26,9 +26,9 @@ from crkr.dashboard.names import Names
 from crkr.dashboard.progress import Row
 from crkr.dashboard.rerun_view.blueprint import EYE
 from crkr.dashboard.rerun_view.colours import FAILURE, SUCCESS
-from crkr.dashboard.rerun_view.places import VIEW_ANGLE, eye, facing, offset
 from crkr.dashboard.rerun_view.recording import Recording
 from crkr.dashboard.rerun_view.shapes import bounds, shapes_by_body
+from crkr.dashboard.rerun_view.world_layout import VIEW_ANGLE, eye, facing, offset
 from crkr.dashboard.telemetry import Telemetry
 from crkr.protocol import Geom, Trace
 

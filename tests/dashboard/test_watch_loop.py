@@ -12,7 +12,7 @@ import pytest
 from crkr.client import Client, Task
 from crkr.dashboard import EpochResult, Feed, Progress, Row, Telemetry
 from crkr.dashboard.poller import Poller
-from crkr.dashboard.watching import StopRequest, follow, wait_for_task
+from crkr.dashboard.watch_loop import StopRequest, follow, wait_for_task
 from crkr.protocol import TaskSpec, Unavailable, UnknownTask
 
 Message = Callable[..., dict[str, Any]]

@@ -1,5 +1,5 @@
-from crkr.dashboard.facts import worker_rows
 from crkr.dashboard.progress import Progress
+from crkr.dashboard.status_facts import worker_rows
 
 
 def test_workers_are_in_the_state_that_the_server_names_the_living_first() -> None:

@@ -15,7 +15,7 @@ from rerun.chunk import RrdReader
 
 from crkr.client import Task
 from crkr.dashboard import EpochResult, Progress, Row, replaying
-from crkr.dashboard.replaying import open_run, replay
+from crkr.dashboard.stored_run import open_run, replay
 from crkr.protocol import Unsupported
 
 Make = Callable[..., Any]

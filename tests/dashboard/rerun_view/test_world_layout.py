@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from crkr.dashboard.rerun_view.places import eye, facing, offset
+from crkr.dashboard.rerun_view.world_layout import eye, facing, offset
 
 LOW, HIGH = np.array([-2.0, -1.0, 0.0]), np.array([1.0, 1.0, 1.5])
 

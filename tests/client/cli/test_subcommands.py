@@ -93,7 +93,7 @@ def test_a_mistyped_command_is_wrong_usage_with_a_suggestion(entries: list[Entry
         ("scipy", "crkr.client.mirror", "mirror"),
         ("scipy", "crkr.client.bench.predict", "server"),
         ("sklearn.linear_model", "crkr.experiments.study", "experiments"),
-        ("matplotlib", "crkr.experiments.figures", "sim"),
+        ("matplotlib", "crkr.experiments.figures.command", "sim"),
     ],
 )
 def test_a_missing_package_is_translated_to_the_extra_that_brings_it(package: str, module: str, extra: str) -> None:

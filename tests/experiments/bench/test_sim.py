@@ -7,8 +7,8 @@ import pytest
 from typer import Typer
 from typer.testing import CliRunner
 
-from crkr.experiments.bench_sim import sim
-from crkr.experiments.bench_sim_measure import worst_violation
+from crkr.experiments.bench.sim import sim
+from crkr.experiments.bench.sim_measure import worst_violation
 from crkr.sim_worker.primitives.bench_primitive import draw_goals
 from crkr.sim_worker.primitives.stroke import JointLimits
 

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from crkr.experiments.learning_run import LearningRun
+from crkr.experiments.learning.run import LearningRun
 from crkr.sim_worker.figure import new_figure, save_figure
 
 __all__ = ["draw_learning"]

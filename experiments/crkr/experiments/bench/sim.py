@@ -25,7 +25,7 @@ def sim(
 
     Example: crkr bench sim --trials 100 --json
     """
-    from crkr.experiments.bench_sim_measure import measure
+    from crkr.experiments.bench.sim_measure import measure
 
     rows = list(measure(trials, seed))
     if json:

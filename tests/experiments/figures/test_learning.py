@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from crkr.client.tally import Tally
-from crkr.experiments.learning_figure import draw_learning
-from crkr.experiments.learning_run import LearningRun, Score
+from crkr.experiments.figures.learning import draw_learning
+from crkr.experiments.learning.run import LearningRun, Score
 
 MARKS = (0, 25, 50, 100, 750, 1000, 1250, 1500)
 

@@ -22,7 +22,7 @@ from scipy.spatial.distance import cdist
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel
 
-from crkr.experiments.bench_learn import Row
+from crkr.experiments.bench.learn import Row
 from crkr.learner import Anms, FitProblem, Learner, Model, Regression, fit, log_evidence
 from crkr.protocol import Array, TaskSpec, Trial
 

@@ -10,8 +10,8 @@ from matplotlib.image import imread
 from typer import Typer
 from typer.testing import CliRunner
 
-from crkr.experiments.exploration_figure import WIDTH, explored
-from crkr.experiments.figures import figure3, figure4, figure5, figure7, policy
+from crkr.experiments.figures.command import figure3, figure4, figure5, figure7, policy
+from crkr.experiments.figures.exploration import WIDTH, explored
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from crkr.experiments.bench_learn import Row
+from crkr.experiments.bench.learn import Row
 from crkr.learner import Learner
 from crkr.sim_worker.primitives.bench_primitive import SwingGoal, bench_primitive
 from crkr.sim_worker.primitives.stroke import Infeasible, JointLimits, Primitive

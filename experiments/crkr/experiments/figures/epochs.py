@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from crkr.experiments.learning_figure import COLOURS
-from crkr.experiments.learning_run import LearningRun
+from crkr.experiments.figures.learning import COLOURS
+from crkr.experiments.learning.run import LearningRun
 from crkr.sim_worker.figure import new_figure, save_figure
 
 __all__ = ["draw_epochs"]

@@ -12,7 +12,7 @@ from crkr.client.cli.options import Json, Overwrite
 from crkr.client.cli.output_file import check_output, output_file
 
 if TYPE_CHECKING:
-    from crkr.experiments.learning_run import LearningRun
+    from crkr.experiments.learning.run import LearningRun
 
 __all__ = ["figure3", "figure4", "figure5", "figure7", "policy"]
 
@@ -40,7 +40,7 @@ def figure3(out: Out = HERE, overwrite: Overwrite = False) -> None:
 
     Example: crkr experiment figure3 --out figures
     """
-    from crkr.experiments.kernel_figure import draw_kernel
+    from crkr.experiments.figures.kernel import draw_kernel
 
     draw_kernel(_file(out, "figure3.png", overwrite))
     stderr.print(f"{out / 'figure3.png'}: the squared-exponential kernel with a length-scale a dimension")
@@ -55,7 +55,7 @@ def figure4(
 
     Example: crkr experiment figure4 --out figures
     """
-    from crkr.experiments.exploration_figure import draw_exploration, explored
+    from crkr.experiments.figures.exploration import draw_exploration, explored
 
     path = _file(out, "figure4.png", overwrite)
     moments = explored(seed)
@@ -125,7 +125,7 @@ def policy(
 
     Example: crkr experiment policy --vary ball_y --environment analytic
     """
-    from crkr.experiments.learning_run import Course, taught
+    from crkr.experiments.learning.run import Course, taught
     from crkr.sim_worker.skill import SkillOptions
     from crkr.sim_worker.skill_registry import load_skill
     from crkr.sim_worker.supervisor.progress import Progress
@@ -151,9 +151,9 @@ def _epochs(
     size: tuple[int, int, int, int, int],
     as_json: bool,
 ) -> None:
-    from crkr.experiments.epochs_figure import draw_epochs
-    from crkr.experiments.learning_run import Course
-    from crkr.experiments.many_runs import learn_many
+    from crkr.experiments.figures.epochs import draw_epochs
+    from crkr.experiments.learning.many_runs import learn_many
+    from crkr.experiments.learning.run import Course
     from crkr.sim_worker.skill import SkillOptions
 
     seeds, first_seed, trials, balls, jobs = size

@@ -54,7 +54,7 @@ def learn(
     Example: crkr bench learn --quick --json
     """
     require("scipy", "sklearn")
-    command = [sys.executable, "-m", "crkr.experiments.bench_learn_measure", *["--quick"] * quick]
+    command = [sys.executable, "-m", "crkr.experiments.bench.learn_measure", *["--quick"] * quick]
     # A process of its own: the number of BLAS threads is settled when numpy is first imported.
     done = subprocess.run(command, env={**os.environ, **_ONE_THREAD}, stdout=subprocess.PIPE, check=False)
     if done.returncode:

@@ -9,7 +9,7 @@ from typing import final
 import numpy as np
 from scipy.stats import t as student
 
-from crkr.experiments.learning_run import LearningRun
+from crkr.experiments.learning.run import LearningRun
 
 __all__ = ["Summary", "mean_interval", "summarise"]
 

@@ -8,7 +8,7 @@ from matplotlib.image import imread
 from typer import Typer
 from typer.testing import CliRunner
 
-from crkr.experiments.learning import learning
+from crkr.experiments.learning.command import learning
 from crkr.protocol import Invalid
 
 SHORT = ["--environment", "analytic", "--trials", "30", "--balls", "20", "--first-seed", "3"]

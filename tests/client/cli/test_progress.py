@@ -2,8 +2,8 @@
 
 import pytest
 
+from crkr.client.cli import progress as module
 from crkr.client.cli.progress import counting
-from crkr.client.commands import counting as module
 
 
 def test_without_a_terminal_there_is_a_plain_line_now_and_then(

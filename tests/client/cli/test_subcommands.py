@@ -9,7 +9,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from crkr.client import frame
+from crkr.client.cli import subcommands as frame
 from crkr.client.cli.error_lines import guarded, reason_missing, require
 from crkr.protocol import Busy
 

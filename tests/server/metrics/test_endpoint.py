@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from crkr.server import metrics_endpoint
+from crkr.server.metrics import endpoint as metrics_endpoint
 from crkr.server.metrics.endpoint import MetricsEndpoint
 
 MOST = 16

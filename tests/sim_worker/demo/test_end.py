@@ -4,15 +4,15 @@ from pathlib import Path
 from typing import Any
 
 from crkr.dashboard import command, poller, viewer
-from crkr.sim_worker.demo import crew, tether
+from crkr.sim_worker.demo import bound_command, processes
 from crkr.sim_worker.demo.process import Child
 
 
 def test_watch_has_the_time_that_its_own_limits_add_up_to() -> None:
     longest = poller.ANSWER_S + poller.INTERRUPTED_S + viewer.ENDS_S + command.CLOSE_S
-    assert longest < tether.PATIENCE_S
-    assert longest + 0.5 < crew.END_S < 5.0  # its own start of an end, and what it promises its user
-    assert crew.WORKERS_END_S < crew.END_S - 1.5  # what the server gets when the workers take all of theirs
+    assert longest < bound_command.PATIENCE_S
+    assert longest + 0.5 < processes.END_S < 5.0  # its own start of an end, and what it promises its user
+    assert processes.WORKERS_END_S < processes.END_S - 1.5  # what the server gets when the workers take all of theirs
 
 
 def test_a_child_is_interrupted_once_however_often_it_is_asked(tmp_path: Path, processes: Any) -> None:

@@ -1,4 +1,7 @@
-"""Writes a log of made-up trials, to measure a server on a long one: `python -m crkr.server.inspection.synthetic_log DIR COUNT`."""
+"""Write a log of made-up trials, to measure a server on a long one.
+
+`python -m crkr.server.inspection.synthetic_log DIR COUNT` runs it.
+"""
 
 from __future__ import annotations
 

@@ -48,7 +48,7 @@ def evaluate(
     import numpy as np
 
     from crkr.client import Client
-    from crkr.sim_worker import assessment
+    from crkr.sim_worker.evaluation import assessment
     from crkr.sim_worker.guarded_skill import GuardedSkill
     from crkr.sim_worker.skill import SkillOptions, options_in_force
     from crkr.sim_worker.skill_registry import load_skill

@@ -1,4 +1,4 @@
-"""Runs a `crkr` command that ends when whoever started it does: `python -m crkr.sim_worker.demo.bound_command server ...`.
+"""Run a `crkr` command that ends when its starter does: `python -m crkr.sim_worker.demo.bound_command server ...`.
 
 Standard input is the tether: a pipe whose other end only the starter holds, so that it closes even if that is killed.
 """

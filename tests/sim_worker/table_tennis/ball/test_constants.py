@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from crkr.sim_worker.table_tennis import constants
 from crkr.sim_worker.table_tennis.arm.dynamics import SPEED_LIMITS, Arm
+from crkr.sim_worker.table_tennis.ball import constants
 from crkr.sim_worker.table_tennis.ball.launchers import LAUNCHERS
 from crkr.sim_worker.table_tennis.environments.simulation import Simulation
 from crkr.sim_worker.table_tennis.spec import task_spec

@@ -189,7 +189,7 @@ def learned(spec: Any) -> tuple[Learner, dict[str, Any]]:
 def test_goals_that_the_task_cannot_have_are_refused(make_peer: Any, goal: list[float], batch: bool) -> None:
     """Also from the server itself, which may have a defect."""
     spec = specification()
-    listing = {"tasks": [{"spec": spec.to_dict(), "samples": 9, "active": 9, "model_version": 9}]}
+    listing = {"spec": spec.to_dict(), "archived": False, "model_version": 9}
     states = np.full((2, 2), 0.5) if batch else np.full(2, 0.5)
     ids = [uuid4() for _ in range(2 if batch else 1)]
     learner, _ = learned(spec)
@@ -207,7 +207,7 @@ def test_goals_that_the_task_cannot_have_are_refused(make_peer: Any, goal: list[
 
 def test_an_answer_about_other_trials_than_those_asked_about_is_refused(make_peer: Any) -> None:
     spec = specification()
-    listing = {"tasks": [{"spec": spec.to_dict(), "samples": 9, "active": 9, "model_version": 9}]}
+    listing = {"spec": spec.to_dict(), "archived": False, "model_version": 9}
     learner, _ = learned(spec)
     answer = pack(learner.predict([0.5, 0.5], trial_ids=[UUID(int=1)]).to_wire())
     peer = make_peer([msgpack.packb(listing), answer, msgpack.packb(listing)])
@@ -218,7 +218,7 @@ def test_an_answer_about_other_trials_than_those_asked_about_is_refused(make_pee
 @pytest.mark.parametrize("accepted", [0, 1, 3])
 def test_a_receipt_for_another_number_of_trials_is_none(make_peer: Any, accepted: int) -> None:
     spec = specification()
-    listing = {"tasks": [{"spec": spec.to_dict(), "samples": 9, "active": 9, "model_version": 9}]}
+    listing = {"spec": spec.to_dict(), "archived": False, "model_version": 9}
     receipt = {"accepted": accepted, "duplicates": 0, "seqs": list(range(accepted)), "model_version": 1}
     peer = make_peer([msgpack.packb(listing), receipt])
     with Client(peer.endpoint, timeout_s=PATIENCE_S) as client, pytest.raises(Internal, match="acknowledges"):
@@ -236,7 +236,7 @@ def test_a_receipt_for_another_number_of_trials_is_none(make_peer: Any, accepted
 )
 def test_a_mirror_takes_over_no_model_that_the_task_cannot_have(make_peer: Any, change: dict[str, Any]) -> None:
     spec = specification()
-    listing = msgpack.packb({"tasks": [{"spec": spec.to_dict(), "samples": 9, "active": 9, "model_version": 9}]})
+    listing = msgpack.packb({"spec": spec.to_dict(), "archived": False, "model_version": 9})
     _, model = learned(spec)
     info = {"server_id": uuid4().bytes}
     peer = make_peer([listing, info, pack({**model, **change}), listing])

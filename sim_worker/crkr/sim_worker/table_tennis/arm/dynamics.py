@@ -49,7 +49,7 @@ class Arm:
     """Six joints and a paddle; joint vectors are (6,) in radians from shoulder pan to wrist 3."""
 
     def __init__(self) -> None:
-        with as_file(files(__package__) / "scene.xml") as path:
+        with as_file(files("crkr.sim_worker.table_tennis") / "scene.xml") as path:
             self.model: Any = pinocchio.buildModelFromMJCF(str(path))
             # Shapes without collision masks, the table's included, are "visual" to Pinocchio.
             self.shapes: Any = pinocchio.buildGeomFromMJCF(self.model, str(path), pinocchio.GeometryType.VISUAL)

@@ -181,7 +181,7 @@ def check_sound(data: Any, last: Floats) -> None:
 
 def load_spec(*, magnus: bool = False) -> Any:
     """The scene as an editable MuJoCo specification."""
-    with as_file(files(__package__) / "scene.xml") as path:
+    with as_file(files("crkr.sim_worker.table_tennis") / "scene.xml") as path:
         spec = mujoco.MjSpec.from_file(str(path))
     if magnus:  # The last coefficient is relative to density * volume * spin x velocity.
         spec.geom("ball").fluid_coefs[4] += MAGNUS * BALL_MASS / (AIR_DENSITY * BALL_VOLUME)

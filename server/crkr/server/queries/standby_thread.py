@@ -57,8 +57,12 @@ class Relay:
             return turn == self._turn
 
     def on_duty(self, turn: int) -> bool:
-        """Whether no other turn has begun since."""
-        return turn == self._turn
+        """Whether no other turn has begun since.
+
+        A new thread may ask before `_begin_turn` has noted its turn; the lock makes it wait for that.
+        """
+        with self._lock:
+            return turn == self._turn
 
     def join(self, patience_s: float) -> None:
         """Waits for the thread on duty to end; no other takes over from now on."""

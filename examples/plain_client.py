@@ -126,6 +126,8 @@ def converse(session: zenoh.Session) -> None:
     print(f"server {info['version']}, protocol {info['protocol']}, limits {info['limits']}")
     print("created:", ask(session, "rpc/create_task", SPEC)["created"])
     print("created again:", ask(session, "rpc/create_task", SPEC)["created"])
+    found = ask(session, f"{task}/rpc/spec", {})  # one task; `rpc/tasks` lists all, in pages by `limit` and `after`
+    print(f"looked up: budget {found['spec']['budget']}, archived {found['archived']}")
     print("before any sample:", ask(session, f"{task}/rpc/predict", {"states": [1.0]})["code"])
 
     shown = [trial([d], [2 * d, 0.25], 0.1 * d, "demonstration") for d in (0.5, 1.0, 1.5, 2.0)]

@@ -1,5 +1,6 @@
 """A local copy of a policy answers as the server does, follows it, goes on without it, and says how old it is."""
 
+import ctypes
 import itertools
 import signal
 import threading
@@ -219,3 +220,36 @@ def test_client_mirror_and_outbox_may_be_closed_in_any_order(
     for name in order:
         open_ones[name].close()
     processes.wait_until(lambda: not [thread for thread in threading.enumerate() if thread.name.endswith(task.name)])
+
+
+def test_a_notice_that_nobody_can_read_does_not_end_its_refreshing(client: Client) -> None:
+    task = client.create_task(specification())
+    practise(task, 10, 1)
+    with task.mirror(every_s=0.1, pause_s=0.01) as mirror:
+        stranger = client._rpc.transport
+        for depth in (65, 1000):
+            notice = b"\x81\xa1a" + b"\x91" * depth + b"\xc0"
+            stranger.publish(f"crkr/@v1/task/{task.name}/pub/model", "model", notice)
+        for round_ in (2, 3):
+            mirror.wait_for(practise(task, 10, round_), PATIENCE_S)
+        assert mirror.defects == 0
+
+
+class Panic(BaseException):
+    """As the panic of a binding to Rust, which is no Exception."""
+
+
+@pytest.mark.parametrize("raised", [RecursionError, MemoryError, SystemExit, Panic])
+def test_whatever_is_raised_in_its_thread_is_told_and_it_goes_on(
+    client: Client, processes: Any, raised: type[BaseException]
+) -> None:
+    task = client.create_task(specification())
+    practise(task, 10, 1)
+    with task.mirror(every_s=0.1, pause_s=0.01) as mirror:
+        assert mirror._thread.ident is not None
+        identity = ctypes.c_ulong(mirror._thread.ident)
+        assert ctypes.pythonapi.PyThreadState_SetAsyncExc(identity, ctypes.py_object(raised)) == 1
+        processes.wait_until(lambda: mirror.defects == 1)
+        assert "defects=1" in repr(mirror)
+        mirror.wait_for(practise(task, 10, 2), PATIENCE_S)
+        processes.wait_until(lambda: mirror.fault is None)

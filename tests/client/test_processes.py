@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 MakePeer = Callable[..., Any]
+PATIENCE_S = 60.0  # no promise, just no hang
 PROGRAM = """
 import os, sys, threading
 from crkr.client import Client
@@ -39,7 +40,7 @@ def start(program: str, endpoint: str) -> subprocess.Popen[str]:
 def finish(process: subprocess.Popen[str]) -> tuple[int, str, str]:
     """Status and output of a process that must end by itself."""
     try:
-        out, err = process.communicate(timeout=15)
+        out, err = process.communicate(timeout=PATIENCE_S)
     except subprocess.TimeoutExpired:
         process.kill()
         process.communicate()
@@ -73,13 +74,12 @@ def test_a_call_in_a_daemon_thread_does_not_keep_the_process(make_peer: MakePeer
     assert finish(process)[0] == 0
 
 
-def test_an_interrupt_ends_a_call_in_progress(make_peer: MakePeer) -> None:
+def test_an_interrupt_ends_a_call_in_progress(make_peer: MakePeer, processes: Any) -> None:
     peer = make_peer([{}, "hold"])
     process = start("client.task('a').refit()", peer.endpoint)
     assert process.stdout is not None
     assert process.stdout.readline() == "connected\n"
-    while len(peer.queries) < 2:
-        assert process.poll() is None
+    processes.wait_until(lambda: len(peer.queries) >= 2)
     process.send_signal(signal.SIGINT)
     code, _, err = finish(process)
     assert code == -signal.SIGINT
@@ -220,6 +220,22 @@ outbox.close(); mirror.close()
     code, out, err = finish(robot(program.replace("client.info()\nsys", f"{after}\nsys"), shared_endpoint))
     assert (code, err) == (7, "")
     assert out.splitlines() == ["connected", *["Unavailable True"] * 8]
+
+
+@pytest.mark.parametrize("after", ["client.close()", "outbox.close(); mirror.close(); client.close()"])
+def test_a_fork_after_close_is_told_clearly_and_ends_at_once(shared_endpoint: str, after: str) -> None:
+    """Zenoh's threads outlive a session, so that a child cannot open another one either."""
+    inside = """
+    del client, mirror, outbox, task
+    try:
+        Client(sys.argv[1]).info()
+    except Exception as error:
+        print(type(error).__name__, "spawn" in str(error), flush=True)
+"""
+    program = f"{after}\n" + FORK.format(inside.strip()).replace("client.info()\n", "")
+    code, out, err = finish(robot(program, shared_endpoint))
+    assert (code, err) == (7, "")
+    assert out.splitlines() == ["connected", "Unavailable True"]
 
 
 def test_importing_the_client_brings_neither_mathematics_nor_the_command() -> None:

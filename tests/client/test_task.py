@@ -161,7 +161,7 @@ def test_the_first_call_of_a_task_ends_by_its_own_deadline(
 
 
 def test_what_is_left_of_the_time_goes_to_the_call_itself(make_peer: Callable[..., Any], spec: dict[str, Any]) -> None:
-    peer = make_peer([{"tasks": [{"spec": TaskSpec.from_dict(spec).to_dict()}]}, "hold"])
+    peer = make_peer([{"spec": TaskSpec.from_dict(spec).to_dict()}, "hold"])
     with Client(peer.endpoint, timeout_s=1000.0) as client:
         task = client.task(spec["name"])
         assert repr(task) == f"Task({spec['name']!r})"

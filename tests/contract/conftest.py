@@ -24,4 +24,4 @@ def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Client]:
                 yield client
         finally:
             process.terminate()
-            assert process.wait(10.0) == 0
+            assert process.wait(60.0) == 0

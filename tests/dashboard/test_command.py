@@ -1,4 +1,5 @@
 import os
+import pty
 import signal
 import socket
 import subprocess
@@ -15,6 +16,12 @@ import pytest
 from crkr.client import Task
 
 Watch = Callable[..., subprocess.Popen[str]]
+LEADS_A_SESSION = """
+import fcntl, os, sys, termios
+os.setsid()
+fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+os.execv(sys.argv[1], sys.argv[1:])
+"""
 PATIENCE_S = 60.0  # no promise, just no hang
 
 
@@ -54,7 +61,7 @@ def report(task: Task, count: int) -> None:
     task.report(state=[[5.0]] * count, goal=[[0.1]] * count, cost=0.5, success=True, worker="crane-1")
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_completes_the_recording_and_ends_the_page(
     crane: Task, server: Any, watch: Watch, tmp_path: Path, number: signal.Signals
 ) -> None:
@@ -63,10 +70,12 @@ def test_a_signal_completes_the_recording_and_ends_the_page(
     process = watch("--connect", server.endpoint, "--save", str(file), "--log-level", "info")
     address = line_with(process.stderr, "viewer: ").removeprefix("viewer: ")
     page = address.split("?")[0]
-    with urllib.request.urlopen(page, timeout=5) as answer:
+    with urllib.request.urlopen(page, timeout=PATIENCE_S) as answer:
         assert answer.status == 200
     line_with(process.stderr, "caught up with 120 trials")
     process.send_signal(number)
+    if number == signal.SIGHUP:
+        process.send_signal(number)  # shell and kernel both send one
     _, rest = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0, rest
     assert f"recording: {file}" in rest
@@ -75,6 +84,23 @@ def test_a_signal_completes_the_recording_and_ends_the_page(
     assert rows(file, "/cost/success") == 120
     (guide,) = [batch.column("TextDocument:text")[0].as_py() for batch in batches(file, "/guide")]
     assert "Lift loads." in guide[0]
+
+
+def test_a_closed_terminal_completes_the_recording(crane: Task, server: Any, tmp_path: Path) -> None:
+    report(crane, 120)
+    file = tmp_path / "run.rrd"
+    words = ["watch", "crane", "--connect", server.endpoint, "--save", str(file), "--log-level", "info"]
+    # In a session whose terminal this is, which is hung up as it is closed.
+    command = [sys.executable, "-c", LEADS_A_SESSION, sys.executable, "-m", "crkr.client", *words]
+    ours, theirs = pty.openpty()
+    with subprocess.Popen(command, stdin=theirs, stdout=theirs, stderr=theirs) as process:
+        os.close(theirs)
+        written = b""
+        while b"caught up with" not in written:
+            written += os.read(ours, 4096)
+        os.close(ours)  # what is printed from now on fails
+        assert process.wait(PATIENCE_S) == 0
+    assert rows(file, "/cost/success") == 120
 
 
 def rows(file: Path, entity: str) -> int:
@@ -96,12 +122,12 @@ def test_without_a_terminal_the_tables_become_lines(crane: Task, server: Any, wa
     process = watch("--terminal", "--connect", server.endpoint)
     assert "trials 7" in line_with(process.stdout, "trials")
     process.send_signal(signal.SIGTERM)
-    assert process.wait(10) == 0
+    assert process.wait(PATIENCE_S) == 0
 
 
 def test_a_server_that_does_not_come_is_one_line_and_a_failure(watch: Watch, free_port: int) -> None:
     process = watch("--terminal", "--patience", "1", "--connect", f"tcp/127.0.0.1:{free_port}")
-    out, error = process.communicate(timeout=20)
+    out, error = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 1
     assert out == ""
     assert [line.split()[0] for line in error.splitlines()] == ["waiting", "error:"]
@@ -135,14 +161,14 @@ def test_a_second_ctrl_c_ends_it_whatever_it_is_doing(watch: Watch, free_port: i
 def test_a_taken_port_that_was_asked_for_is_one_line_and_a_failure(watch: Watch) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = str(taken.getsockname()[1])
-        _, error = watch("--port", port).communicate(timeout=20)
+        _, error = watch("--port", port).communicate(timeout=PATIENCE_S)
     assert error.splitlines() == [
         f"error: port {port} on 127.0.0.1 is taken; choose another, or none and a free one is found"
     ]
 
 
 def test_a_window_without_a_display_is_one_line_and_a_failure(watch: Watch) -> None:
-    _, error = watch("--native", DISPLAY="", WAYLAND_DISPLAY="").communicate(timeout=20)
+    _, error = watch("--native", DISPLAY="", WAYLAND_DISPLAY="").communicate(timeout=PATIENCE_S)
     assert error.splitlines()[-1] == "error: --native needs a display, and there is none here; use --web or --terminal"
 
 
@@ -157,13 +183,65 @@ def test_a_window_without_a_display_is_one_line_and_a_failure(watch: Watch) -> N
 )
 def test_options_that_make_no_sense_together_are_wrong_usage(watch: Watch, options: list[str]) -> None:
     process = watch(*options)
-    process.communicate(timeout=20)
+    process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 2
 
 
 def test_a_file_that_cannot_be_written_is_said_at_once(watch: Watch, tmp_path: Path) -> None:
     process = watch("--save", str(tmp_path / "missing" / "run.rrd"))
-    _, error = process.communicate(timeout=20)
+    _, error = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 1
     assert "missing" in error
     assert len(error.splitlines()) == 1
+
+
+def test_a_recording_that_is_there_is_replaced_only_where_that_was_asked_for(
+    watch: Watch, tmp_path: Path, free_port: int
+) -> None:
+    file = tmp_path / "night.rrd"
+    file.write_text("of last night")
+    away = ("--save", str(file), "--patience", "0.1", "--timeout", "0.2", "--connect", f"tcp/127.0.0.1:{free_port}")
+    _, error = watch(*away).communicate(timeout=PATIENCE_S)
+    assert error.splitlines() == [f"error: {file} exists; choose another file, or --overwrite"]
+    process = watch(*away, "--overwrite")
+    process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 1
+    assert [path.read_text() for path in tmp_path.iterdir()] == ["of last night"]
+
+
+def test_a_run_that_met_no_task_leaves_no_recording(watch: Watch, tmp_path: Path, free_port: int) -> None:
+    file = tmp_path / "run.rrd"
+    away = ("--patience", "0.1", "--timeout", "0.2", "--connect", f"tcp/127.0.0.1:{free_port}")
+    _, error = watch("--save", str(file), *away).communicate(timeout=PATIENCE_S)
+    assert "did not appear" in error
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    "environment",
+    [
+        {"RERUN": "off"},
+        {"RERUN_STRICT": "1", "RERUN_PANIC_ON_WARN": "1", "RERUN_FLUSH_TICK_SECS": "soon"},
+        {"_RERUN_TEST_FORCE_SAVE": "/nowhere/at.rrd"},
+        {"http_proxy": "http://127.0.0.1:9", "HTTP_PROXY": "http://127.0.0.1:9", "no_proxy": "", "NO_PROXY": ""},
+        {"PYTHONWARNINGS": "error", "LC_ALL": "C", "PYTHONUTF8": "0"},
+    ],
+    ids=lambda environment: next(iter(environment)),
+)
+def test_a_recording_that_is_asked_for_is_made_whatever_the_environment_says(
+    crane: Task, server: Any, watch: Watch, tmp_path: Path, environment: dict[str, str]
+) -> None:
+    report(crane, 30)
+    file = tmp_path / "run.rrd"
+    file.write_text("of last night")
+    process = watch(
+        "--connect", server.endpoint, "--save", str(file), "--overwrite", "--log-level", "info", **environment
+    )
+    line_with(process.stderr, "viewer: ")
+    line_with(process.stderr, "caught up with 30 trials")
+    process.send_signal(signal.SIGHUP)
+    _, rest = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 0, rest
+    assert rest.splitlines()[-1] == f"recording: {file}"
+    assert rows(file, "/cost/success") == 30
+    assert list(tmp_path.glob("*.rrd")) == [file]

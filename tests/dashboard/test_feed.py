@@ -167,3 +167,70 @@ def test_a_finished_evaluation_is_told_once(feed: Feed, notebook: Notebook, stor
     assert notebook.epochs == [0]
     assert notebook.ticks == [1.0, 10.0, 20.0]
     assert notebook.progress is feed.progress
+
+
+def test_the_picture_by_the_worker_that_the_log_names_goes_before_others(stored: Make, message: Message) -> None:
+    class Named(Notebook):
+        def picture(self, row: Row, telemetry: Telemetry) -> None:
+            super().picture(row, telemetry)
+            self.lines.append(telemetry.worker)
+
+    view = Named()
+    feed = Feed(view)
+    for number in range(20):
+        feed.publication("trial", message(1, worker=f"made-up-{number}"))
+    feed.publication("trial", message(1))
+    feed.publication("trial", message(2, worker="another"))
+    feed.news(News(trials=(stored(1), stored(2))), 0.0)
+    feed.step(0.0)
+    assert view.lines == ["crane-1", "another"]
+    assert feed.dropped == 20
+
+
+def test_a_trial_is_shown_once_however_often_it_is_published(
+    feed: Feed, notebook: Notebook, stored: Make, message: Message
+) -> None:
+    feed.news(News(trials=(stored(1),)), 0.0)
+    for now in range(5):
+        feed.publication("trial", message(1))
+        feed.step(float(now))
+    assert notebook.pictures == [(1, 1)]
+    assert feed.dropped == 4
+
+
+def test_a_publication_that_breaks_the_view_is_counted_and_the_next_is_shown(stored: Make, message: Message) -> None:
+    class Brittle(Notebook):
+        def picture(self, row: Row, telemetry: Telemetry) -> None:
+            if row.seq == 1:
+                raise RecursionError("too deep")
+            super().picture(row, telemetry)
+
+        def tick(self, now: float, progress: Progress) -> None:
+            if now < 1.0:
+                raise OverflowError("too large")
+            super().tick(now, progress)
+
+    view = Brittle()
+    feed = Feed(view)
+    feed.news(News(trials=(stored(1), stored(2))), 0.0)
+    for seq in (1, 2):
+        feed.publication("trial", message(seq))
+    feed.step(0.0)
+    feed.step(1.0)
+    assert view.pictures == [(2, 2)]
+    assert feed.skipped == 2
+    assert [word for word in ("too deep", "too large") if word not in " ".join(view.lines)] == []
+
+
+def test_a_message_nested_beyond_all_measure_is_counted(feed: Feed, message: Message) -> None:
+    nested: Any = 0
+    for _ in range(100_000):
+        nested = [nested]
+    for field in ("trace", "scene", "timing", "sigma_mean", "worker"):
+        feed.publication("trial", message(1, **{field: nested}))
+    refused = message(1, kind="failed", worker=nested)
+    del refused["seq"]
+    feed.publication("trial", refused)
+    assert feed.skipped == 6
+    while isinstance(nested, list):  # unmade step by step: an interpreter may unmake it by recursion
+        nested = nested[0]

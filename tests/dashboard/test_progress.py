@@ -3,7 +3,7 @@ from typing import Any
 
 import pytest
 
-from crkr.dashboard.progress import MAX_NAMES, QUIET_S, Progress
+from crkr.dashboard.progress import MAX_EPOCHS, MAX_NAMES, QUIET_S, Progress
 from crkr.protocol import StoredTrial
 
 Make = Callable[..., StoredTrial]
@@ -30,13 +30,13 @@ def test_an_evaluation_ends_when_it_has_as_many_balls_as_the_one_before(stored: 
         progress.add(evaluation(stored, seq, 0, paper=seq % 2 == 0), now=0.0)
     assert progress.finished_epochs(now=1.0) == []
     (first,) = progress.finished_epochs(now=1.0 + QUIET_S)
-    assert (first.epoch, first.balls, first.rate("paper")) == (0, 4, 0.5)
+    assert (first.epoch, first.balls, first.tally.rate("paper")) == (0, 4, 0.5)
     for seq in range(5, 8):
         progress.add(evaluation(stored, seq, 1), now=10.0)
         assert progress.finished_epochs(now=10.0) == []
     progress.add(evaluation(stored, 8, 1), now=10.0)
     (second,) = progress.finished_epochs(now=10.0)
-    assert (second.epoch, second.rate("paper")) == (1, 1.0)
+    assert (second.epoch, second.tally.rate("paper")) == (1, 1.0)
     assert progress.finished_epochs(now=99.0) == []
 
 
@@ -78,7 +78,7 @@ def test_an_evaluation_without_an_epoch_is_counted_by_kind_and_moves_no_curve(
     assert {row.epoch for row in rows} == {5}
     assert progress.add(stored(52), 0.0).epoch == 5
     (result,) = progress.finished_epochs(now=2 * QUIET_S)
-    assert (result.epoch, result.balls, result.rate("paper")) == (4, 1, 1.0)
+    assert (result.epoch, result.balls, result.tally.rate("paper")) == (4, 1, 1.0)
 
 
 def test_every_criterion_that_a_skill_names_is_kept_apart(stored: Make) -> None:
@@ -127,4 +127,13 @@ def test_what_is_judged_by_no_criterion_of_the_others_counts_for_none_of_them(st
         progress.add(evaluation(stored, seq + 1, 0, paper=seq != 2), 0.0)
     assert (progress.window.rate("paper"), progress.window.rate("success")) == (0.5, 0.0)
     (result,) = progress.finished_epochs(now=2 * QUIET_S)
-    assert (list(result.judged), result.rate("paper")) == (["paper"], 0.75)
+    assert (list(result.tally.criteria), result.tally.rate("paper")) == (["paper"], 0.75)
+
+
+def test_epochs_that_anybody_makes_up_do_not_fill_the_memory(stored: Make) -> None:
+    progress = Progress()
+    for seq in range(1, MAX_EPOCHS + 50):
+        progress.add(stored(seq, "evaluation", info={"epoch": 7919 * seq}), 10.0 * seq)
+        progress.finished_epochs(10.0 * seq)
+    assert len(progress.epochs) == MAX_EPOCHS
+    assert max(progress.epochs) == 7919 * (MAX_EPOCHS + 49)

@@ -3,6 +3,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Callable
+from itertools import zip_longest
 from typing import Any
 
 import pytest
@@ -65,6 +66,23 @@ def test_a_terminal_shows_curve_reasons_workers_and_latency(run: list[News]) -> 
         "17 of 40",
     ):
         assert expected in text
+
+
+@pytest.mark.parametrize("width", [30, 60, 100])
+def test_names_are_whole_however_narrow_the_terminal_is(stored: Make, width: int) -> None:
+    name = "".join(f"{letter}{number}" for letter in "abcdefgh" for number in range(7))
+    status = {**STATUS, "workers": [{"id": name, "state": "alive", "open_trials": 1, "last_seen_s": 1.0}]}
+    console = Console(width=width, height=200, color_system=None)
+    display = TerminalDisplay(console, "crane")
+    feed = Feed(display)
+    feed.news(News(trials=(stored(1, worker=name, info={"reason": "r" + name[:40]}),), status=status), 1.0)
+    feed.step(2.0)
+    with console.capture() as seen:
+        console.print(display.page(feed.progress, 2.0))
+    lines = [[cell.strip() for cell in line.split("│")] for line in seen.get().splitlines()]
+    columns = ["".join(cells) for cells in zip_longest(*lines, fillvalue="")]
+    assert any(name in column for column in columns)
+    assert "…" not in seen.get()
 
 
 def test_silence_grows_while_the_server_does_not_answer(stored: Make) -> None:

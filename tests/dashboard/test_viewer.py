@@ -35,7 +35,7 @@ def is_alive(pid: int) -> bool:
 
 def test_the_page_answers_on_loopback_only_and_is_gone_afterwards(free_port: int) -> None:
     with Viewer.web(HOST, HOST, free_port, stream_address(HOST, 1)) as viewer:
-        with urllib.request.urlopen(f"http://{HOST}:{free_port}/", timeout=5) as answer:
+        with urllib.request.urlopen(f"http://{HOST}:{free_port}/", timeout=60) as answer:
             assert answer.status == 200
             assert b"<canvas" in answer.read()
         assert listeners(free_port) == {LOOPBACK}

@@ -3,6 +3,7 @@ from __future__ import annotations
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from multiprocessing import get_context
+from uuid import UUID
 
 import numpy as np
 import pytest
@@ -10,7 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import multivariate_normal
 
-from crkr.learner import FitProblem, fit, log_evidence
+from crkr.learner import FitProblem, Kernel, Model, Parameters, fit, log_evidence
+from crkr.protocol import Array, TaskSpec
 
 
 def problem(seed: int, m: int = 40, d: int = 3, p: int = 2, linear: float = 0.0) -> FitProblem:
@@ -86,3 +88,35 @@ def test_a_fit_in_another_process_finds_the_same(monkeypatch: pytest.MonkeyPatch
     here = fit(start)
     np.testing.assert_array_equal(elsewhere.lengthscales, here.lengthscales)
     assert elsewhere.after == here.after
+
+
+def model_of(states: Array, lengthscale: float = 1.0) -> Model:
+    kernel = Kernel(np.zeros(1), np.array([lengthscale]), 1.0)
+    axis = {"name": "x", "low": -2.0, "high": 2.0}
+    spec = TaskSpec.from_dict({"name": "fitted", "state": [axis], "goal": [axis]})
+    parameters = Parameters.create(spec, kernel, np.zeros(1))
+    ids = [UUID(int=number) for number in range(len(states))]
+    goals = np.sin(3.0 * np.clip(states, -2, 2)) / 2
+    return Model.create(7, parameters, ids, states.copy(), goals, np.full(len(states), 0.1))
+
+
+@pytest.mark.parametrize("absurd", [1e12, 1e154, 1e300])
+def test_a_state_that_is_absurdly_far_away_does_not_keep_a_fit_from_the_others(absurd: float) -> None:
+    states = np.random.default_rng(0).uniform(-2, 2, (40, 1))
+    usual = fit(FitProblem.of(model_of(states), np.ones(1)))
+    beside = fit(FitProblem.of(model_of(np.concatenate([states, [[absurd], [-absurd]]])), np.ones(1)))
+    assert usual.accepted
+    assert beside.lengthscales == pytest.approx(usual.lengthscales)
+
+
+def test_a_fit_of_very_long_length_scales_stays_a_number() -> None:
+    states = np.random.default_rng(1).uniform(0, 1e300, (40, 1))
+    found = fit(FitProblem.of(model_of(states, 1e299), np.array([1e299])))
+    assert np.isfinite(found.lengthscales).all()
+
+
+def test_a_fit_of_a_large_model_looks_at_some_of_its_samples() -> None:
+    states = np.linspace(-2, 2, 1600)[:, None]
+    problem = FitProblem.of(model_of(states), np.ones(1))
+    assert len(problem.X) == len(problem.Y) == len(problem.noise) == 1500
+    assert (problem.X[0], problem.X[-1]) == (-2.0, 2.0)

@@ -8,7 +8,7 @@ from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, DotProduct
 
 from crkr.learner import Kernel, Regression, noise_variances
-from crkr.protocol import Array
+from crkr.protocol import Array, Internal
 
 Problem = tuple[np.random.Generator, Kernel, Array, Array, Array]  # and states, goals, costs
 
@@ -124,6 +124,35 @@ def test_a_matrix_that_does_not_factor_gets_a_higher_floor_and_a_warning(caplog:
     assert regression.floor > 1e-4
     assert "noise floor" in caplog.text
     assert all(np.isfinite(part).all() for part in regression.over(np.array([[0.0], [1e20], [3.0]])))
+
+
+def test_a_floor_that_stays_raised_is_told_once(caplog: pytest.LogCaptureFixture) -> None:
+    kernel, goals = Kernel(np.zeros(1), np.ones(1), 1.0), np.array([[1.0], [2.0], [3.0]])
+    first = Regression.fit(kernel, np.zeros((2, 1)), goals[:2], np.full(2, 1e-30))
+    second = Regression.fit(kernel, np.zeros((3, 1)), goals, np.full(3, 1e-30), first)
+    assert min(first.floor, second.floor) > 1e-30
+    assert [record.levelname for record in caplog.records] == ["WARNING"]
+
+
+def test_noise_that_rounds_to_nothing_beside_the_kernel_still_factors() -> None:
+    kernel = Kernel(np.zeros(1), np.ones(1), 1e-310)
+    regression = Regression.fit(kernel, np.zeros((2, 1)), np.array([[1.0], [2.0]]), np.zeros(2))
+    assert all(np.isfinite(part).all() for part in regression.over(np.array([[0.0], [3.0]])))
+
+
+def test_a_kernel_matrix_without_numbers_is_given_up() -> None:
+    kernel = Kernel(np.zeros(1), np.ones(1), np.nan)
+    with pytest.raises(Internal, match="does not factor"):
+        Regression.fit(kernel, np.zeros((3, 1)), np.ones((3, 1)), np.full(3, 1e-4))
+
+
+def test_a_state_that_is_far_away_does_not_drown_the_others_in_a_linear_term() -> None:
+    kernel = Kernel(np.zeros(1), np.ones(1), 1.0, 1.0)
+    near, far = np.array([[-1.0], [0.0], [1.0]]), np.array([[1e50], [1e50]])
+    goals, noise = np.array([[1.0], [2.0], [3.0], [0.0], [0.1]]), np.full(5, 1e-4)
+    regression = Regression.fit(kernel, np.concatenate([near, far]), goals, noise)
+    means, _, _ = regression.over(near)
+    np.testing.assert_allclose(means[:, 0], [1.0, 2.0, 3.0], atol=0.5)
 
 
 def test_arrays_of_a_regression_are_read_only() -> None:

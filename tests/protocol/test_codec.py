@@ -1,6 +1,7 @@
 """Bytes and back: what goes in comes out, and whatever else comes in is refused and does no harm."""
 
 import struct
+from collections.abc import Callable
 from typing import Any
 from uuid import UUID
 
@@ -23,6 +24,7 @@ from crkr.protocol import (
     pack,
     unpack,
 )
+from crkr.protocol.codec import MAX_DEPTH
 
 shapes = hnp.array_shapes(min_dims=0, max_dims=4, min_side=0, max_side=4)
 finite_lists = st.recursive(
@@ -173,3 +175,18 @@ def test_this_versions_encodings_are_accepted(text: str) -> None:
 def test_other_encodings_are_unsupported(text: str) -> None:
     with pytest.raises(Unsupported, match="is not offered"):
         check_encoding(text)
+
+
+@pytest.mark.parametrize("wrap", [lambda inner: [inner], lambda inner: {"a": inner}])
+def test_a_message_is_nested_as_deep_as_the_limit_and_no_deeper(wrap: Callable[[object], object]) -> None:
+    def nested(depth: int) -> bytes:
+        value: object = 1
+        for _ in range(depth - 1):
+            value = wrap(value)
+        return pack({"a": value})
+
+    unpack(nested(MAX_DEPTH))
+    for depth in (MAX_DEPTH + 1, 300):
+        with pytest.raises(Invalid, match="nested more than 64 deep"):
+            unpack(nested(depth))
+        unpack(nested(depth), depth=None)  # as what was stored before there was a limit

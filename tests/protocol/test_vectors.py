@@ -22,6 +22,7 @@ from crkr.protocol import (
     error_from_wire,
     error_to_wire,
     pack,
+    pack_around,
     unpack,
 )
 
@@ -57,6 +58,11 @@ AGAIN: dict[str, Callable[[dict[str, Any]], Mapping[str, Any]]] = {
         "next": None,
     },
     "explain.reply": lambda message: Explanation.from_wire(message).to_wire(),
+    "spec.reply": lambda message: {**message, "spec": TaskSpec.from_dict(message["spec"]).to_dict()},
+    "tasks.reply": lambda message: {
+        **message,
+        "tasks": [{**entry, "spec": TaskSpec.from_dict(entry["spec"]).to_dict()} for entry in message["tasks"]],
+    },
     "error.conflict": lambda message: error_to_wire(error_from_wire(message)),
     "error.busy": lambda message: error_to_wire(error_from_wire(message)),
 }
@@ -76,6 +82,25 @@ def test_our_messages_read_the_bytes_and_write_them_again(name: str) -> None:
     assert pack(AGAIN[name](unpack(data))) == data
 
 
+def test_what_is_packed_around_a_specification_is_the_same_message() -> None:
+    specification = pack(spec().to_dict())
+    reply = unpack(vector("spec.reply")[1])
+    about = {name: value for name, value in reply.items() if name != "spec"}
+    assert pack_around(about, "spec", specification) == vector("spec.reply")[1]
+    page = unpack(vector("tasks.reply")[1])
+    entry = {name: value for name, value in page["tasks"][0].items() if name != "spec"}
+    entries = [pack_around(entry, "spec", specification)]
+    assert pack_around({"next": page["next"]}, "tasks", entries) == vector("tasks.reply")[1]
+
+
+@pytest.mark.parametrize("count", [0, 1, 15, 16, 70_000])
+def test_a_list_of_encoded_entries_is_the_list_of_the_entries(count: int) -> None:
+    entries = [{"number": number} for number in range(count)]
+    assert pack_around({"next": None}, "tasks", [pack(entry) for entry in entries]) == pack(
+        {"next": None, "tasks": entries}
+    )
+
+
 @pytest.mark.parametrize("name", ["predict.lists.request", "predict.f4.request"])
 def test_other_forms_of_an_array_say_the_same(name: str) -> None:
     other = "predict.batch.request" if "lists" in name else "predict.request"
@@ -84,6 +109,6 @@ def test_other_forms_of_an_array_say_the_same(name: str) -> None:
 
 
 def test_every_verb_that_stores_or_asks_has_its_vectors() -> None:
-    verbs = {"create_task", "info", "predict", "report", "samples", "explain", "recost", "remove", "configure"}
-    assert {name.split(".")[0] for name in NAMES} == verbs | {"error"}
+    asked = {"create_task", "info", "tasks", "spec", "predict", "report", "samples", "explain"}
+    assert {name.split(".")[0] for name in NAMES} == asked | {"recost", "remove", "configure", "error"}
     assert {path.stem for path in VECTORS.glob("*.msgpack")} == set(NAMES)

@@ -31,7 +31,7 @@ except SystemExit as exit:
 print(json.dumps(sorted({name.split(".")[0] for name in sys.modules})), file=sys.stderr)
 """
 )
-START = "from crkr.client.main import main; main()"
+START = "from crkr.client.cli.main import main; main()"
 HELP = f"sys.argv = ['crkr', '--help']; {START}"
 
 

@@ -103,7 +103,7 @@ def shared_endpoint(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
         drain.start()
         yield endpoint
         process.send_signal(signal.SIGTERM)
-        assert process.wait(timeout=10) == 0
+        assert process.wait(timeout=60) == 0
         drain.join()
 
 

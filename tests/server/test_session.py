@@ -59,7 +59,7 @@ def test_an_access_list_can_deny_administration_alone(
         assert list(silent) == []
         assert ask("task/reach/rpc/status")["archived"] is False
         process.terminate()
-        assert process.wait(timeout=5) == 0
+        assert process.wait(timeout=60) == 0
 
 
 def test_a_configuration_file_keeps_what_protects_the_server_unless_it_says_otherwise(tmp_path: Path) -> None:

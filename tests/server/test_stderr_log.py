@@ -4,6 +4,7 @@ import fcntl
 import os
 import re
 import signal
+import socket
 import subprocess
 import sys
 from collections.abc import Callable
@@ -40,7 +41,7 @@ def test_a_server_whose_log_nobody_reads_goes_on(
         for number in range(LINES):
             ask("rpc/create_task", {**reach, "name": f"late-{number}"})
         process.send_signal(signal.SIGTERM)
-        assert process.wait(timeout=10) == 0
+        assert process.wait(timeout=60) == 0
 
 
 def test_a_server_whose_log_is_closed_goes_on(
@@ -56,7 +57,28 @@ def test_a_server_whose_log_is_closed_goes_on(
         for number in range(3):
             assert ask("rpc/create_task", {**reach, "name": f"task-{number}"})["created"] is True
         process.send_signal(signal.SIGTERM)
-        assert process.wait(timeout=10) == 0
+        assert process.wait(timeout=60) == 0
+
+
+def test_a_server_whose_log_is_full_or_was_never_open_goes_on(
+    free_port: int, tmp_path: Path, connect: Callable[[str], Ask], reach: dict[str, Any], processes: Any
+) -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port}"
+    for sink in ("2>/dev/full", "<&- >&- 2>&-"):
+        line = f"exec {sys.executable} -m crkr.client server --listen {endpoint} --data {tmp_path / 'data'} {sink}"
+        with subprocess.Popen(["bash", "-c", line]) as process:
+            processes.wait_until(lambda: listens(free_port))
+            ask = connect(endpoint)
+            assert ask("rpc/create_task", {**reach, "name": f"task-{len(sink)}"})["created"] is True
+            taken = {os.readlink(f"/proc/{process.pid}/fd/{number}") for number in range(3)}
+            assert not any("data" in name or "socket" in name for name in taken)
+            process.send_signal(signal.SIGTERM)
+            assert process.wait(timeout=10) == 0
+
+
+def listens(port: int) -> bool:
+    with socket.socket() as probe:
+        return probe.connect_ex(("127.0.0.1", port)) == 0
 
 
 def test_whoever_logs_what_cannot_be_formatted_goes_on() -> None:

@@ -13,12 +13,12 @@ import pytest
 import zenoh
 
 from crkr.protocol import TaskSpec, task_key
-from crkr.server.filling import fill
-from crkr.server.intake import Intake
-from crkr.server.lane import Lane, busy
-from crkr.server.latency import Latencies
-from crkr.server.refusing import Refuser
-from crkr.server.request import Request
+from crkr.server.inspection.synthetic_log import fill
+from crkr.server.metrics.latency import Latencies
+from crkr.server.queries.intake import Intake
+from crkr.server.queries.queue import Lane, busy
+from crkr.server.queries.refusals import Refuser
+from crkr.server.queries.request import Request
 from crkr.server.session import open_session
 
 Ask = Callable[..., dict[str, Any]]
@@ -140,13 +140,28 @@ def test_a_defect_is_answered_as_internal_and_the_server_goes_on(
 
 def test_a_signal_right_after_the_start_ends_the_server(free_port: int, tmp_path: Any) -> None:
     command = [sys.executable, "-m", "crkr.client", "server", "--data", str(tmp_path / "data")]
-    for number in (signal.SIGTERM, signal.SIGINT):
+    for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
         listen = ["--listen", f"tcp/127.0.0.1:{free_port}"]
         with subprocess.Popen([*command, *listen], stderr=subprocess.PIPE, text=True) as process:
             assert process.stderr is not None
             assert "listening on" in process.stderr.readline()
             process.send_signal(number)
-            assert process.wait(timeout=5) == 0
+            assert process.wait(timeout=60) == 0
+
+
+def test_a_server_under_nohup_goes_on_when_the_terminal_is_closed(
+    free_port: int, tmp_path: Path, connect: Callable[[str], Ask]
+) -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port}"
+    command = ["nohup", sys.executable, "-m", "crkr.client", "server", "--data", str(tmp_path / "data")]
+    with subprocess.Popen([*command, "--listen", endpoint], stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr is not None
+        while "listening on" not in process.stderr.readline():
+            pass  # nohup says what it ignores
+        process.send_signal(signal.SIGHUP)
+        assert connect(endpoint)("rpc/info")["protocol"] == 1
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(timeout=10) == 0
 
 
 def test_a_signal_while_a_long_log_is_read_ends_the_server_then(
@@ -162,7 +177,7 @@ def test_a_signal_while_a_long_log_is_read_ends_the_server_then(
             while not (data / "lock").exists():
                 pass  # the pytest timeout is the deadline
             process.send_signal(number)
-            assert process.communicate(timeout=10)[1] == ""
+            assert process.communicate(timeout=60)[1] == ""
             assert process.returncode == 0
         (data / "lock").unlink()
 

@@ -18,8 +18,8 @@ import pytest
 import zenoh
 
 from crkr.client import Client
-from crkr.client.config import Connection
-from crkr.client.handshake import refusal
+from crkr.client.network.config import Connection
+from crkr.client.network.tls_handshake import refusal
 from crkr.protocol import Invalid, Unavailable
 from crkr.server.session import _config
 
@@ -257,6 +257,44 @@ def test_a_robot_cannot_answer_in_the_servers_place(endpoint: str, keys: Path) -
         replies = admin.get(INFO, target=everyone, timeout=DEADLINE_S)
         assert [reply.ok is not None for reply in replies] == [True]
         assert queryable.try_recv() is None
+
+
+@pytest.mark.parametrize("name", ["robot-1", "admin", "dashboard"])
+def test_nobody_can_say_what_is_the_servers_to_say(identity: As, endpoint: str, keys: Path, name: str) -> None:
+    """Neither that it is a server, nor that there is a new model, nor take the place of another kind of token."""
+    robot = identity("robot-1")
+    robot.info()
+    with raw(endpoint, keys, name) as session, raw(endpoint, keys, "admin") as witness:
+        false_news = robot.task("reach").subscribe(("model",))
+        [server] = standing(witness, "crkr/@v1/live/server/*")
+        tokens = [
+            session.liveliness().declare_token(key)
+            for key in ("crkr/@v1/live/server/mine", "crkr/@v1/task/reach/live/rumour/x", "crkr/@v1/x", "elsewhere/x")
+        ]
+        session.put("crkr/@v1/task/reach/pub/model", msgpack.packb({"version": 999}))
+        session.put("crkr/@v1/live/server/mine", b"")
+        list(session.liveliness().get("crkr/@v1/live/server/*", timeout=DEADLINE_S))  # all of it has arrived
+        assert standing(witness, "crkr/@v1/live/server/*") == {server}
+        assert standing(witness, "crkr/@v1/task/*/live/**") == set()
+        receipt = robot.task("reach").report(**TRIAL, wait=True)
+        news = false_news.receive(DEADLINE_S)
+        assert news is not None
+        assert news[1]["version"] == receipt.seqs[0]
+        assert len(tokens) == 4
+        false_news.close()
+
+
+def standing(session: zenoh.Session, key: str) -> set[str]:
+    replies = session.liveliness().get(key, timeout=DEADLINE_S)
+    return {str(reply.ok.key_expr) for reply in replies if reply.ok is not None}
+
+
+def test_a_client_without_rights_is_told_that_it_has_none_and_not_that_no_server_is_there(
+    endpoint: str, keys: Path
+) -> None:
+    passed, detail = doctor(endpoint, keys / "stranger" / "client.json5")["reachable"]
+    assert not passed
+    assert "does the server's access control know this client" in detail
 
 
 def test_passwords_do_instead_of_clients_certificates_as_the_document_says(keys: Path, tmp_path: Path) -> None:

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from crkr.client.aio import AsyncClient, AsyncSubscription, AsyncTask
     from crkr.client.client import Client, TaskSummary
-    from crkr.client.outbox import Outbox
-    from crkr.client.presence import Presence
-    from crkr.client.role import Role
-    from crkr.client.subscription import Subscription
+    from crkr.client.network.presence import Presence
+    from crkr.client.network.role import Role
+    from crkr.client.network.subscription import Subscription
+    from crkr.client.outbox.outbox import Outbox
     from crkr.client.task import Task
 
 __all__ = [
@@ -35,10 +35,10 @@ _HOME = {
     "AsyncSubscription": "aio",
     "AsyncTask": "aio",
     "Client": "client",
-    "Outbox": "outbox",
-    "Presence": "presence",
-    "Role": "role",
-    "Subscription": "subscription",
+    "Outbox": "outbox.outbox",
+    "Presence": "network.presence",
+    "Role": "network.role",
+    "Subscription": "network.subscription",
     "Task": "task",
     "TaskSummary": "client",
 }

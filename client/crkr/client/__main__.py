@@ -1,6 +1,6 @@
 """`python -m crkr.client` is `crkr`."""
 
-from crkr.client.main import main
+from crkr.client.cli.main import main
 
 if __name__ == "__main__":
     main()

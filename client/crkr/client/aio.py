@@ -17,10 +17,10 @@ from types import TracebackType
 from typing import Any, Concatenate, Final, ParamSpec, TypeVar, final
 
 from crkr.client.client import Client, TaskSummary
-from crkr.client.daemons import Daemons
-from crkr.client.forks import check_not_forked
-from crkr.client.rpc import positive
-from crkr.client.subscription import TOPICS, Subscription
+from crkr.client.network.daemon_threads import Daemons
+from crkr.client.network.forks import check_not_forked
+from crkr.client.network.rpc import positive
+from crkr.client.network.subscription import TOPICS, Subscription
 from crkr.client.task import Task
 from crkr.protocol import Invalid, StoredTrial, TaskSpec, Unavailable
 
@@ -285,6 +285,14 @@ class AsyncClient:
     async def tasks(self, *, timeout_s: float | None = None) -> list[TaskSummary]:
         """As `Client.tasks`."""
         return await self._calls.run(self.blocking.tasks, timeout_s=timeout_s)
+
+    async def iter_tasks(self) -> AsyncIterator[TaskSummary]:
+        """As `Client.iter_tasks`."""
+        after: int | None = 0
+        while after is not None:
+            page, after = await self._calls.run(self.blocking.task_page, after)
+            for entry in page:
+                yield entry
 
     async def create_task(self, spec: TaskSpec | Mapping[str, Any], *, timeout_s: float | None = None) -> AsyncTask:
         """As `Client.create_task`."""

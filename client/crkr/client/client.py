@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Final, TypedDict, final
+from typing import Any, Final, NotRequired, TypedDict, final
 
-from crkr.client.config import Connection
-from crkr.client.role import Role
-from crkr.client.rpc import Rpc, plain, reading
+from crkr.client.network.config import Connection
+from crkr.client.network.role import Role
+from crkr.client.network.rpc import Rpc, plain, reading
+from crkr.client.network.transport import Transport
 from crkr.client.task import Task
-from crkr.client.transport import Transport
 from crkr.protocol import TaskSpec, check_name, rpc_key
-from crkr.protocol.checks import flag, integer, required
+from crkr.protocol.checks import flag, integer, required, text
 
 __all__ = ["Client", "TaskSummary"]
 
@@ -26,6 +26,7 @@ class TaskSummary(TypedDict):
     active: int
     model_version: int
     archived: bool
+    fault: NotRequired[str]  # why it learns no more, or could not be restored
 
 
 @final
@@ -57,7 +58,10 @@ class Client:
         self._rpc: Final = Rpc(Transport(connection), timeout_s)
 
     def info(self, *, timeout_s: float | None = None) -> dict[str, Any]:
-        """The server: `protocol`, `version`, `server_id`, `started` [unix s], `tasks` (names), `limits`.
+        """The server: `protocol`, `version`, `server_id`, `started` [unix s], `tasks`, `task_count`, `faulty`, ...
+
+        `tasks` has the names of the first 1000 tasks; `Client.tasks` gives all of them. `faulty` has those that cannot
+        be served, with the reason.
 
         Raises:
             Unavailable: No answer in time.
@@ -71,10 +75,28 @@ class Client:
         return self.info(timeout_s=patience_s)
 
     def tasks(self, *, timeout_s: float | None = None) -> list[TaskSummary]:
-        """Every task: `spec` (in force), `samples`, `active`, `model_version`, `archived`."""
-        reply = self._rpc.call(rpc_key("tasks"), {}, timeout_s)
-        with reading("tasks"):
-            return [_summary(entry) for entry in required(reply, "tasks")]
+        """Every task: `spec` (in force), `samples`, `active`, `model_version`, `archived`; `fault` if there is one.
+
+        Args:
+            timeout_s: Deadline of all pages together [s].
+
+        Raises:
+            Unavailable: Some of the list did not come by the deadline; `iter_tasks` has one for each page.
+        """
+        pages = self._rpc.task_pages(self._rpc.deadline(timeout_s))
+        return [summary for page in pages for summary in _summaries(page)]
+
+    def iter_tasks(self) -> Iterator[TaskSummary]:
+        """Every task as `tasks` gives it, page by page, each by the client's own deadline."""
+        after: int | None = 0
+        while after is not None:
+            page, after = self.task_page(after)
+            yield from page
+
+    def task_page(self, after: int = 0, *, timeout_s: float | None = None) -> tuple[list[TaskSummary], int | None]:
+        """A page of that list: tasks past the first `after`, and where to go on (None at the end)."""
+        page, following = self._rpc.task_page(after, timeout_s)
+        return _summaries(page), following
 
     def create_task(self, spec: TaskSpec | Mapping[str, Any], *, timeout_s: float | None = None) -> Task:
         """Makes a task, or finds it: the same specification again is fine, description aside.
@@ -121,11 +143,19 @@ class Client:
         self.close()
 
 
+def _summaries(page: Iterable[Mapping[str, Any]]) -> list[TaskSummary]:
+    with reading("tasks"):
+        return [_summary(entry) for entry in page]
+
+
 def _summary(entry: Mapping[str, Any]) -> TaskSummary:
-    return {
+    summary: TaskSummary = {
         "spec": TaskSpec.from_dict(required(entry, "spec")),
         "samples": integer(required(entry, "samples"), "samples"),
         "active": integer(required(entry, "active"), "active"),
         "model_version": integer(required(entry, "model_version"), "model_version"),
         "archived": flag(entry.get("archived", False), "archived"),
     }
+    if "fault" in entry:
+        summary["fault"] = text(entry["fault"], "fault")
+    return summary

@@ -18,10 +18,11 @@ from uuid import UUID
 
 import numpy as np
 
-from crkr.client.forks import check_not_forked, is_forked
-from crkr.client.rpc import Rpc, positive, reading
-from crkr.client.subscription import Subscription
-from crkr.client.transport import Transport
+from crkr.client.goals import check_bounds
+from crkr.client.network.forks import check_not_forked, is_forked
+from crkr.client.network.rpc import Rpc, positive, reading
+from crkr.client.network.subscription import Subscription
+from crkr.client.network.transport import Transport
 from crkr.learner import Model
 from crkr.protocol import Conflict, CrkrError, Internal, Invalid, Prediction, Unavailable, check_states, random_ids
 
@@ -84,6 +85,7 @@ class Mirror:
         self._exiting = threading.Event()
         self._inside: dict[int, None] = {}  # threads that are predicting
         self._fault: CrkrError | None = None
+        self._defects = 0
         self._refreshing = threading.Lock()
         # Before the first copy, or what changes between the two would go unnoticed for a while.
         self._notices = task.subscribe(("model",), capacity=1, timeout_s=timeout_s)
@@ -116,6 +118,11 @@ class Mirror:
     def fault(self) -> CrkrError | None:
         """Why the copy could not be refreshed the last time; None: it was."""
         return self._fault
+
+    @property
+    def defects(self) -> int:
+        """Refreshes that failed by no error of the protocol, but by a defect or for want of memory."""
+        return self._defects
 
     def predict(
         self, states: object, explore: bool = False, *, trial_ids: Sequence[UUID | bytes] | None = None
@@ -200,7 +207,7 @@ class Mirror:
         fault = self._fault.code if self._fault is not None else None
         return (
             f"Mirror({self.name!r}, model_version={self.model_version}, active={self._model.active}, "
-            f"age_s={self.age_s:.1f}, fault={fault})"
+            f"age_s={self.age_s:.1f}, fault={fault}{f', defects={self._defects}' if self._defects else ''})"
         )
 
     def __enter__(self) -> Mirror:
@@ -234,19 +241,35 @@ class Mirror:
 
     def _follow(self) -> None:
         """Refreshes after notices, which tell only that there is something, and at least every `every_s`."""
-        while not self._closed.wait(self._pause_s):
-            self._notices.receive(self._every_s)
-            if self._closed.is_set():
-                return
-            over = self._notices.closed  # with the client, as this last attempt will say
+        over = False
+        while not over:
             try:
-                self.refresh(_ATTEMPT_S)
-            except Exception as error:  # whatever it is, the next attempt may do better; `fault` and `age_s` tell
-                if not isinstance(error, CrkrError):
-                    self._fault = Internal(f"the local copy of task {self.name!r} was not refreshed: {error!r}")
-                _logger.debug("the local copy of task %s was not refreshed: %s", self.name, error)
-            if over:
-                return
+                over = self._closed.wait(self._pause_s) or self._follow_once()
+            except BaseException as error:  # whatever it is, the next attempt may do better; `fault` and `age_s` tell
+                self._note(error)
+
+    def _follow_once(self) -> bool:
+        """Waits for a notice and refreshes; whether that was the last time."""
+        self._notices.receive(self._every_s)
+        if self._closed.is_set():
+            return True
+        over = self._notices.closed  # with the client, as this last attempt will say
+        try:
+            self.refresh(_ATTEMPT_S)
+        except CrkrError as error:
+            self._note(error)
+        return over
+
+    def _note(self, error: BaseException) -> None:
+        """Tells of a refresh that failed; of a defect once in the log, and each time in `defects`."""
+        if isinstance(error, CrkrError):
+            self._fault = error
+            _logger.debug("the local copy of task %s was not refreshed: %s", self.name, error)
+            return
+        self._defects += 1
+        self._fault = Internal(f"the local copy of task {self.name!r} was not refreshed: {error!r:.500}")
+        level = logging.WARNING if self._defects == 1 else logging.DEBUG
+        _logger.log(level, "the local copy of task %s was not refreshed: %r", self.name, error)
 
     def _fetch(self, known: Model | None, timeout_s: float | None) -> tuple[Model, UUID, float]:
         """The server's model (the known one where it still is), which server, and when it was asked [s, monotonic].
@@ -270,6 +293,10 @@ class Mirror:
                 f"the server's task {self.name!r} is another now, with other states or goals, so that the local copy "
                 "stays as it was; make a new mirror"
             )
+        with reading("model"):
+            _check(model)
+            if known is None:
+                check_bounds(self._task._spec, self._task._look, model.parameters.low, model.parameters.high)
         return model, server, asked
 
 
@@ -295,6 +322,16 @@ def _exit(
     thread.join(_EXIT_S)
     while inside and time.monotonic() < until:
         threading.Event().wait(0.001)
+
+
+def _check(model: Model) -> None:
+    """Raises `Invalid` for a model that cannot answer with goals to try, whatever it is asked."""
+    own, regression = model.parameters, model.regression
+    arrays = [own.prior, own.scales, own.low, own.high, *([] if regression is None else [regression.W])]
+    if not all(np.isfinite(array).all() for array in arrays):
+        raise Invalid("the model holds what is no finite number")
+    if not ((model.goals >= own.low) & (model.goals <= own.high)).all():
+        raise Invalid("the model holds goals outside its bounds")
 
 
 def _alike(one: Model, other: Model) -> bool:

@@ -8,10 +8,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 from uuid import UUID
 
-from crkr.client.outbox import Outbox
-from crkr.client.presence import Presence
-from crkr.client.rpc import Rpc, plain, reading
-from crkr.client.subscription import TOPICS, Subscription
+from crkr.client.goals import Belief, check_receipt
+from crkr.client.network.presence import Presence
+from crkr.client.network.rpc import Rpc, plain, reading
+from crkr.client.network.subscription import TOPICS, Subscription
+from crkr.client.outbox.outbox import Outbox
+from crkr.client.prediction import ask, ask_in_parts
+from crkr.client.task_lookup import look_up
 from crkr.protocol import (
     MAX_TELEMETRY_BYTES,
     Array,
@@ -24,19 +27,18 @@ from crkr.protocol import (
     StoredTrial,
     TaskSpec,
     Trial,
-    UnknownTask,
     admin_key,
     check_states,
     make_trials,
+    most_states,
     pack,
     pub_key,
     random_ids,
-    rpc_key,
     task_key,
     unpack,
 )
 from crkr.protocol.checks import finite_array, flag, integer, required, text
-from crkr.protocol.predict_bytes import packed_question, read_answer
+from crkr.protocol.messages.predict_bytes import packed_question, read_answer
 
 if TYPE_CHECKING:
     from crkr.client.mirror import Mirror
@@ -60,6 +62,7 @@ class Task:
         self.created: Final = created
         self._rpc = rpc
         self._spec: TaskSpec | None = None
+        self._belief = Belief()
 
     @property
     def spec(self) -> TaskSpec:
@@ -103,18 +106,25 @@ class Task:
         message = request.to_wire()
         if "trial_ids" not in message:  # a retry must be the same question, so that it gets the same draw
             message["trial_ids"] = random_ids(request.count)
-        reply = self._rpc.call(task_key(self.name, "predict"), message, timeout_s)
+        ids = [getattr(one, "bytes", one) for one in message["trial_ids"]]  # UUIDs, or bytes that were made here
+        if request.count > (most := most_states(spec)):
+            answer = ask_in_parts(self._rpc, self.name, request.states, message, most, timeout_s)
+        else:
+            answer = ask(self._rpc, self.name, request.states, message, timeout_s)
         with reading("predict"):
-            return Prediction.from_wire(reply, request.states)
+            return self._belief.check(self.spec, self._look, answer, ids)
 
     def _predict_one(self, state: Array, explore: object, worker: object, timeout_s: float | None) -> Prediction:
         """The commonest question, without a map on the way there and back."""
         named = None if worker is None else text(worker, "worker", longest=128)
-        payload = packed_question(state, flag(explore, "explore"), random_ids(1)[0], named)
+        identity = random_ids(1)[0]
+        payload = packed_question(state, flag(explore, "explore"), identity, named)
         reply = self._rpc.exchange(task_key(self.name, "predict"), "predict", payload, timeout_s)
         with reading("predict"):
             answer = read_answer(reply, state, len(self.spec.goal))
-            return Prediction.from_wire(unpack(reply), state) if answer is None else answer
+            if answer is None:
+                answer = Prediction.from_wire(unpack(reply), state)
+            return self._belief.check(self.spec, self._look, answer, [identity])
 
     def report(
         self,
@@ -177,7 +187,7 @@ class Task:
         message = ReportRequest(tuple(trials), wait).to_wire()
         reply = self._rpc.call(task_key(self.name, "report"), message, timeout_s)
         with reading("report"):
-            return Receipt.from_wire(reply)
+            return check_receipt(Receipt.from_wire(reply), len(trials))
 
     def status(self, *, timeout_s: float | None = None) -> dict[str, Any]:
         """Counts, versions, workers, queues and latencies, as the server sees them."""
@@ -318,17 +328,8 @@ class Task:
 
     def _look(self, timeout_s: float | None) -> tuple[TaskSpec, bool]:
         """The specification in force, and whether the task is archived."""
-        reply = self._rpc.call(rpc_key("tasks"), {}, timeout_s)
-        with reading("tasks"):
-            entries = {entry["spec"]["name"]: entry for entry in required(reply, "tasks")}
-            if self.name not in entries:
-                names = ", ".join(sorted(entries)) or "none"
-                raise UnknownTask(
-                    f"no task {self.name!r} at {self._rpc.transport.endpoint}; it has: {names}; crkr create makes one"
-                )
-            mine = entries[self.name]
-            self._spec = TaskSpec.from_dict(mine["spec"])
-            return self._spec, mine.get("archived") is True
+        self._spec, archived = look_up(self._rpc, self.name, timeout_s)
+        return self._spec, archived
 
     def _read(self, verb: str, message: Mapping[str, Any], timeout_s: float | None) -> dict[str, Any]:
         reply = self._rpc.call(task_key(self.name, verb), message, timeout_s)

@@ -13,12 +13,13 @@ from typing import TYPE_CHECKING, Annotated, Final, final
 import typer
 
 from crkr.client import Client
-from crkr.client.console import configure_logging, stderr, stdout
-from crkr.client.options import Connect, LogLevel, Timeout, ZenohConfig
+from crkr.client.cli.console import configure_logging, stderr, stdout
+from crkr.client.cli.options import Connect, LogLevel, Overwrite, Timeout, ZenohConfig
+from crkr.client.cli.output_file import beside, check_output
 from crkr.dashboard.ports import choose_port
 from crkr.dashboard.sessions import LiveSession, ReplaySession, Session
 from crkr.dashboard.viewer import Viewer, page_address, require_display, stream_address
-from crkr.dashboard.watching import StopRequest
+from crkr.dashboard.watch_loop import StopRequest
 from crkr.protocol import Unavailable
 
 if TYPE_CHECKING:
@@ -46,6 +47,7 @@ def watch(
         typer.Option(metavar="DATA-DIR", help="Show what a server's data directory holds; no server is needed."),
     ] = None,
     save: Annotated[Path | None, typer.Option(metavar="RUN.rrd", help="Also write the recording to this file.")] = None,
+    overwrite: Overwrite = False,
     port: Annotated[
         int | None, typer.Option(min=1, max=65535, help="Port of the recording; 9876 or the next free one.")
     ] = None,
@@ -79,6 +81,7 @@ def watch(
     if terminal and (idle := [option for option, value in served.items() if value is not None]):
         raise typer.BadParameter(f"--terminal records and serves nothing; leave out {', '.join(idle)}")
     configure_logging(log_level)
+    target = None if save is None else _Target(save, overwrite=overwrite)
     with ExitStack() as stack:
         stop = stack.enter_context(StopRequest())
         session: LiveSession | ReplaySession
@@ -90,16 +93,15 @@ def watch(
             session = stack.enter_context(closing(ReplaySession(replay, task, stop)))
         if native:
             require_display()
-        if save is not None:
-            save.open("ab").close()  # says at once where it cannot be written
         if terminal:
             complete = _in_terminal(session)
-        elif session.replayed and save is not None and not (web or native):
-            complete = _in_file(session, save)
+        elif session.replayed and target is not None and not (web or native):
+            complete = _in_file(session, target)
         else:
-            complete = _in_rerun(session, _Places.choose(bind, port, web_port), native, save)
+            complete = _in_rerun(session, _Places.choose(bind, port, web_port), native, target)
     if not complete:
-        _note("error: the recording could not be completed in time; its end may be missing")
+        where = "" if target is None else f"; what there is of it is in {target.place}"
+        _note(f"error: the recording could not be completed in time; its end may be missing{where}")
         os._exit(1)  # an ordinary exit would wait for the same writer without end
 
 
@@ -119,24 +121,26 @@ def _in_terminal(session: Session) -> bool:
     return True
 
 
-def _in_file(session: Session, save: Path) -> bool:
+def _in_file(session: Session, target: _Target) -> bool:
     """Returns whether the recording was completed in time."""
     from crkr.dashboard.rerun_view import Recording, RerunDisplay
 
-    recording = Recording(None, save)
+    recording, failed = Recording(None, target.place), True
     try:
         display = RerunDisplay(recording, session.task, replayed=session.replayed)
         display.finish(session.show(display, PICTURES_S))
+        failed = False
     finally:
-        complete = _close(recording, session, save)
+        complete = _close(recording, session, target, failed)
     return complete
 
 
-def _in_rerun(session: LiveSession | ReplaySession, places: _Places, native: bool, save: Path | None) -> bool:
+def _in_rerun(session: LiveSession | ReplaySession, places: _Places, native: bool, target: _Target | None) -> bool:
     """Returns whether the recording was completed in time."""
     from crkr.dashboard.rerun_view import Recording, RerunDisplay
 
-    recording = Recording((places.bind, places.stream), save)
+    recording = Recording((places.bind, places.stream), None if target is None else target.place)
+    failed = True
     try:
         # Before any viewer: it sends the layout first.
         display = RerunDisplay(recording, session.task, replayed=session.replayed)
@@ -147,16 +151,48 @@ def _in_rerun(session: LiveSession | ReplaySession, places: _Places, native: boo
                 session.stay(lambda: viewer.is_running)
             if not (native or session.stop or viewer.is_running):
                 raise Unavailable(f"the viewer's page is gone: {viewer.complaint()}")
+        failed = False
     finally:
-        complete = _close(recording, session, save)
+        complete = _close(recording, session, target, failed)
     return complete
 
 
-def _close(recording: Recording, session: Session, save: Path | None) -> bool:
+def _close(recording: Recording, session: Session, target: _Target | None, failed: bool) -> bool:
     complete = recording.close(CLOSE_REPLAY_S if session.replayed and not session.stop else CLOSE_S)
-    if save is not None and complete:
-        _note(f"recording: {save}")
+    if target is None:
+        return complete
+    if not session.begun:
+        target.drop()
+    elif complete:
+        _note(f"recording: {target.place if failed else target.settle()}")
     return complete
+
+
+@final
+class _Target:
+    """The file of --save: a new one grows under its name, and one in place of another beside that until it is complete.
+
+    Attributes:
+        place: Where it grows.
+
+    Raises:
+        Invalid: As `check_output`.
+    """
+
+    def __init__(self, path: Path, *, overwrite: bool) -> None:
+        check_output(path, overwrite=overwrite)
+        self._path = path
+        self.place: Final = beside(path) if path.exists() else path
+
+    def settle(self) -> Path:
+        """Gives the complete recording its name."""
+        if self.place != self._path:
+            self.place.replace(self._path)
+        return self._path
+
+    def drop(self) -> None:
+        """Removes a recording of nothing."""
+        self.place.unlink(missing_ok=True)
 
 
 def _viewer(places: _Places, native: bool) -> Viewer:

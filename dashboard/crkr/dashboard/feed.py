@@ -9,21 +9,33 @@ from __future__ import annotations
 
 import logging
 import math
-from collections import OrderedDict, deque
-from collections.abc import Mapping
+from collections import OrderedDict
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, Final, final
 
+from crkr.client.network.subscription import Subscription
 from crkr.dashboard.poller import News
-from crkr.dashboard.progress import Progress, Row
+from crkr.dashboard.progress import EpochResult, Progress, Row
 from crkr.dashboard.telemetry import Telemetry
 from crkr.dashboard.view import View
-from crkr.protocol import Invalid, Unavailable
+from crkr.protocol import CrkrError, StoredTrial, Unavailable
 
 __all__ = ["Feed"]
 
 _logger = logging.getLogger(__name__)
 MAX_WAITING: Final = 512
 MAX_REMEMBERED: Final = 4096
+
+
+@final
+@dataclass(slots=True)
+class _Told:
+    """A trial of the log: its row, who reported it, and whether a picture of it was shown."""
+
+    row: Row
+    worker: str | None
+    pictured: bool = False
 
 
 @final
@@ -35,9 +47,9 @@ class Feed:
 
     Attributes:
         progress: The run so far.
-        skipped: Publications that could not be read.
+        skipped: Publications and answers that could not be read or shown.
         refused: Goals that workers would not try.
-        dropped: Pictures that waited too long for their trial.
+        dropped: Pictures that waited too long for their trial, or are not its first.
     """
 
     def __init__(self, view: View) -> None:
@@ -46,8 +58,8 @@ class Feed:
         self.refused = 0
         self.dropped = 0
         self._view = view
-        self._rows: OrderedDict[int, Row] = OrderedDict()
-        self._waiting: deque[Telemetry] = deque()
+        self._told: OrderedDict[int, _Told] = OrderedDict()
+        self._waiting: OrderedDict[tuple[int, str], Telemetry] = OrderedDict()  # by log position and worker
         self._lost = False
         self._ahead = False
         self._caught_up = False
@@ -57,18 +69,42 @@ class Feed:
         if topic not in ("trial", "evaluation"):
             return
         if message.get("kind") == "failed" and "seq" not in message:
-            self._note_refusal(message)
+            self._attempt(lambda: self._note_refusal(message))
             return
+        self._attempt(lambda: self._wait(Telemetry.from_wire(message)))
+
+    def _wait(self, telemetry: Telemetry) -> None:
+        key = telemetry.seq, telemetry.worker
+        if key in self._waiting:
+            self.dropped += 1
+            return
+        self._waiting[key] = telemetry
+        if len(self._waiting) > MAX_WAITING:
+            self._waiting.popitem(last=False)
+            self.dropped += 1
+
+    def take(self, subscription: Subscription, patience_s: float) -> bool:
+        """Takes one publication that comes within `patience_s`; False where none did."""
+        received: list[tuple[str, dict[str, Any]] | None] = []
+        self._attempt(lambda: received.append(subscription.receive(patience_s)))
+        for each in received:
+            if each is None:
+                return False
+            self.publication(*each)
+        return True
+
+    def _attempt(self, action: Callable[[], object]) -> None:
+        """Does something with what others sent; whatever that raises is counted and told, and the display goes on."""
         try:
-            self._waiting.append(Telemetry.from_wire(message))
-        except Invalid as error:
+            action()
+        except (KeyboardInterrupt, SystemExit, GeneratorExit):
+            raise
+        except BaseException as error:  # nesting too deep, numbers too large, a binding's panic
             self.skipped += 1
             # The first few say what is wrong; a flood of them must not fill the log.
             if self.skipped <= 3 or self.skipped % 1000 == 0:
-                self._view.say(f"skipped {self.skipped} unreadable publications: {error.message}", warning=True)
-        if len(self._waiting) > MAX_WAITING:
-            self._waiting.popleft()
-            self.dropped += 1
+                reason = error.message if isinstance(error, CrkrError) else f"{type(error).__name__}: {error!s:.200}"
+                self._view.say(f"skipped {self.skipped} unreadable publications: {reason}", warning=True)
 
     def _note_refusal(self, message: Mapping[str, Any]) -> None:
         """A goal that a worker would not try; the log has no such trial."""
@@ -87,41 +123,48 @@ class Feed:
             self._view.say("the server answers again")
         if news.trials:
             rows = [self.progress.add(stored, now) for stored in news.trials]
-            self._remember(rows)
+            self._remember(rows, news.trials)
             self._view.trials(rows, self.progress)
             if not (news.more or self._caught_up):
                 self._caught_up = True
                 _logger.info("caught up with %d trials, seq %d", sum(self.progress.kinds.values()), self.progress.seq)
         if news.status is not None:
             self._compare(news.status)
-            self._view.status(news.status, self.progress, now)
+            status = news.status
+            self._attempt(lambda: self._view.status(status, self.progress, now))
 
     def step(self, now: float) -> None:
         """Passes on what became ready; `now` is monotonic [s]."""
         for result in self.progress.finished_epochs(now):
-            self._view.epoch(result, self.progress)
-        later: deque[Telemetry] = deque()
-        for telemetry in self._waiting:
-            row = self._rows.get(telemetry.seq)
-            if row is not None:
-                self._view.picture(row, telemetry)
-            elif telemetry.seq > self.progress.seq:
-                later.append(telemetry)
-            else:
-                self.dropped += 1
-        self._waiting = later
-        self._view.tick(now, self.progress)
+            self._show_epoch(result)
+        for key, telemetry in list(self._waiting.items()):
+            told = self._told.get(telemetry.seq)
+            if told is None and telemetry.seq > self.progress.seq:
+                continue
+            del self._waiting[key]
+            if told is None or told.pictured or (telemetry.seq, told.worker) in self._waiting:
+                self.dropped += 1  # the picture by the worker that the log names goes before others
+                continue
+            told.pictured = True
+            self._show(told.row, telemetry)
+        self._attempt(lambda: self._view.tick(now, self.progress))
+
+    def _show_epoch(self, result: EpochResult) -> None:
+        self._attempt(lambda: self._view.epoch(result, self.progress))
+
+    def _show(self, row: Row, telemetry: Telemetry) -> None:
+        self._attempt(lambda: self._view.picture(row, telemetry))
 
     def finish(self) -> None:
         """Passes on evaluations that were still waiting for more trials: none will come."""
         for result in self.progress.finished_epochs(math.inf):
-            self._view.epoch(result, self.progress)
+            self._show_epoch(result)
 
-    def _remember(self, rows: list[Row]) -> None:
-        for row in rows[-MAX_REMEMBERED:]:
-            self._rows[row.seq] = row
-        while len(self._rows) > MAX_REMEMBERED:
-            self._rows.popitem(last=False)
+    def _remember(self, rows: Sequence[Row], trials: Sequence[StoredTrial]) -> None:
+        for row, stored in list(zip(rows, trials, strict=True))[-MAX_REMEMBERED:]:
+            self._told[row.seq] = _Told(row, stored.trial.worker)
+        while len(self._told) > MAX_REMEMBERED:
+            self._told.popitem(last=False)
 
     def _note_loss(self, news: News) -> None:
         if self._lost or news.lost is None:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any, Final, final
 
 from crkr.client import Task
-from crkr.protocol import CrkrError, StoredTrial
+from crkr.protocol import CrkrError, Internal, StoredTrial
 
 __all__ = ["News", "Poller"]
 
@@ -88,6 +88,9 @@ class Poller:
                 if self._stop.is_set():
                     return
                 self._put(News(lost=error))
+                more = False
+            except BaseException as error:  # whatever an answer holds, the thread asks again
+                self._put(News(lost=Internal(f"an answer cannot be read: {type(error).__name__}: {error!s:.200}")))
                 more = False
             if not more:
                 self._stop.wait(SAMPLES_EVERY_S)

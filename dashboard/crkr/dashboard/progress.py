@@ -9,8 +9,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final, final
 
-from crkr.client.evaluations import stated_epoch, success_by_criterion
-from crkr.client.wilson import wilson_interval
+from crkr.client.tally import Tally, stated_epoch, success_by_criterion
 from crkr.dashboard.window import Window
 from crkr.protocol import StoredTrial
 
@@ -18,6 +17,7 @@ __all__ = ["WINDOW", "EpochResult", "Progress", "Row"]
 
 WINDOW: Final = 50  # training trials in a running mean: the paper's epoch
 QUIET_S: Final = 3.0  # an evaluation that gets no more balls for so long is over
+MAX_EPOCHS: Final = 2000  # kept; the first that are over are forgotten
 MAX_NAMES: Final = 24  # reasons, criteria and workers told apart; what comes beyond is "other"
 
 
@@ -63,28 +63,21 @@ class EpochResult:
     Attributes:
         epoch: Which.
         trial: Training trials that the model had learned from which played the first ball.
-        balls: Evaluation trials so far.
-        judged: Of them, by criterion: how many it was said of whether they met it.
-        successes: How many met it.
+        tally: Evaluation trials so far.
         last_seen: When the last one was counted, monotonic [s].
         closed: Whether it was handed out as finished.
     """
 
     epoch: int
     trial: int
-    balls: int = 0
-    judged: Counter[str] = field(default_factory=Counter)
-    successes: Counter[str] = field(default_factory=Counter)
+    tally: Tally = field(default_factory=Tally)
     last_seen: float = 0.0
     closed: bool = False
 
-    def rate(self, criterion: str) -> float:
-        """Share that met the criterion of the balls that were judged by it, of which there must be one."""
-        return self.successes[criterion] / self.judged[criterion]
-
-    def interval(self, criterion: str) -> tuple[float, float]:
-        """95 % confidence interval of the rate."""
-        return wilson_interval(self.successes[criterion], self.judged[criterion])
+    @property
+    def balls(self) -> int:
+        """Evaluation trials so far."""
+        return self.tally.trials
 
 
 @final
@@ -183,10 +176,11 @@ class Progress:
         return self.trials if model_version is None else bisect_right(self._training, model_version)
 
     def _evaluate(self, epoch: int, trial: int, outcomes: Mapping[str, bool], now: float) -> None:
+        if epoch not in self.epochs and len(self.epochs) >= MAX_EPOCHS:
+            closed = min((each for each, result in self.epochs.items() if result.closed), default=min(self.epochs))
+            del self.epochs[closed]
         result = self.epochs.setdefault(epoch, EpochResult(epoch, trial))
-        result.balls += 1
-        result.judged.update(outcomes.keys())
-        result.successes.update(name for name, met in outcomes.items() if met)
+        result.tally.add(outcomes)
         result.last_seen = now
         self.epoch = max(self.epoch, epoch + 1)
 

@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import Final, Protocol, final
 
 from crkr.client import Client, Task
-from crkr.client.commands.counting import counting
+from crkr.client.cli.progress import counting
 from crkr.dashboard.feed import Feed
 from crkr.dashboard.progress import Progress
-from crkr.dashboard.replaying import StoredRun, open_run, replay
+from crkr.dashboard.stored_run import StoredRun, open_run, replay
 from crkr.dashboard.view import View
-from crkr.dashboard.watching import StopRequest, follow, wait_for_task
+from crkr.dashboard.watch_loop import StopRequest, follow, wait_for_task
 from crkr.protocol import CrkrError
 
 __all__ = ["LiveSession", "ReplaySession", "Session"]
@@ -34,6 +34,11 @@ class Session(Protocol):
     @property
     def replayed(self) -> bool:
         """Whether it comes from a data directory, all at once."""
+        ...
+
+    @property
+    def begun(self) -> bool:
+        """Whether a view was told of the task."""
         ...
 
     @property
@@ -65,6 +70,7 @@ class LiveSession:
     ) -> None:
         self.task: Final = task
         self.stop: Final = stop
+        self.begun = False
         self._client = client
         self._patience_s = patience_s
         self._say = say
@@ -75,9 +81,12 @@ class LiveSession:
         task = wait_for_task(self._client, self.task, self._patience_s, self.stop, self._say)
         if task is None:
             return feed.progress
+        self.begun = True
         view.task(_description(task))
         follow(self._client, task, feed, tick_s, lambda: goes_on() and not self.stop)
         feed.finish()
+        if feed.skipped:
+            self._say(f"skipped {feed.skipped} publications or answers that could not be read or shown")
         return feed.progress
 
 
@@ -99,12 +108,14 @@ class ReplaySession:
     def __init__(self, directory: Path, task: str, stop: StopRequest) -> None:
         self.task: Final = task
         self.stop: Final = stop
+        self.begun = False
         self._run: StoredRun = open_run(directory, task)
 
     def show(self, view: View, tick_s: float, goes_on: Callable[[], bool] = lambda: True) -> Progress:
         """Tells the view of every trial, with a progress bar."""
         del tick_s  # it is as quick as it can be
         with counting(f"replaying {self.task}", self._run.last) as done:
+            self.begun = True
             view.task(self._run.spec.description)
             return replay(self._run, view, lambda: goes_on() and not self.stop, done)
 

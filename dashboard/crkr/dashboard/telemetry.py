@@ -11,13 +11,14 @@ import numpy as np
 
 from crkr.protocol import Geom, Invalid, Trace, geoms_from_wire
 from crkr.protocol.checks import choice, flag, integer, number, required, text
-from crkr.protocol.telemetry import SHAPES
+from crkr.protocol.messages.telemetry import SHAPES
 from crkr.protocol.trial import KINDS
 
 __all__ = ["Telemetry"]
 
 # Far more than 64 kB can hold honestly; they keep a hostile message from drawing an endless or astronomical scene.
 MAX_GEOMS: Final = 1000
+MAX_NAMES: Final = 256
 MAX_DURATION_S: Final = 600.0
 MAX_DISTANCE_M: Final = 1e5
 
@@ -94,7 +95,11 @@ def _trace(value: object) -> Trace:
         raise Invalid(f"trace must be a map of poses and paths; got {value!r:.80}")
     if not isinstance(value.get("bodies"), list):
         raise Invalid("trace.bodies must be a list of names")
+    if len(value["bodies"]) > MAX_NAMES or len(value.get("paths", {})) > MAX_NAMES:
+        raise Invalid(f"a trace has at most {MAX_NAMES} bodies and {MAX_NAMES} paths")
     trace = Trace.from_wire(value)
+    if len(set(trace.bodies)) < len(trace.bodies):
+        raise Invalid("trace.bodies must differ")
     if len(trace.time) == 0:
         raise Invalid("trace.time must have at least one entry")
     if (np.diff(trace.time) < 0).any() or trace.time[-1] - trace.time[0] > MAX_DURATION_S:

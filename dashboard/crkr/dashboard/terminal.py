@@ -12,12 +12,13 @@ from rich.columns import Columns
 from rich.console import Console, Group, RenderableType
 from rich.live import Live
 from rich.panel import Panel
-from rich.table import Table
+from rich.table import Column, Table
 from rich.text import Text
 
-from crkr.dashboard.facts import latency_ms, percent, reason_rows, speed, worker_rows
 from crkr.dashboard.progress import EpochResult, Progress, Row
+from crkr.dashboard.status_facts import latency_ms, percent, reason_rows, speed, worker_rows
 from crkr.dashboard.telemetry import Telemetry
+from crkr.protocol import printable
 
 __all__ = ["TerminalDisplay", "sparkline"]
 
@@ -34,7 +35,12 @@ def sparkline(shares: Sequence[float], width: int = 40) -> str:
 
 def _text(line: str, style: str = "") -> Text:
     """A line that wraps where the terminal is narrow, whatever the console does with plain lines."""
-    return Text(line, style=style, no_wrap=False, overflow="fold")
+    return Text(printable(line), style=style, no_wrap=False, overflow="fold")
+
+
+def _table(*columns: str) -> Table:
+    """A table whose cells take more lines where the terminal is narrow."""
+    return Table(*(Column(name, overflow="fold") for name in columns))
 
 
 @final
@@ -84,7 +90,8 @@ class TerminalDisplay:
 
     def epoch(self, result: EpochResult, progress: Progress) -> None:
         """Says how an evaluation went."""
-        rates = ", ".join(f"{name} {result.rate(name):.2f}" for name in progress.criteria if name in result.judged)
+        del progress  # the result tells by itself
+        rates = ", ".join(f"{name} {rate:.2f}" for name, rate in result.tally.rates().items())
         self.say(f"epoch {result.epoch}: {rates} of {result.balls} evaluation trials")
 
     def status(self, status: Mapping[str, Any], progress: Progress, now: float) -> None:
@@ -94,7 +101,7 @@ class TerminalDisplay:
 
     def say(self, message: str, *, warning: bool = False) -> None:
         """A line beneath the tables, or on its own."""
-        line = f"warning: {message}" if warning else message
+        line = printable(f"warning: {message}" if warning else message)
         self._messages.append(line)
         if self._live is None and not self._replayed:
             self._console.print(line)
@@ -130,7 +137,7 @@ class TerminalDisplay:
         head, about = _text(self._line(progress), "bold"), _text(self._description, "dim")
         return Panel(
             Group(head, about, Text(), Columns(shown, padding=(0, 3)), *map(_text, self._messages)),
-            title=f"crkr watch {self._task}",
+            title=_text(f"crkr watch {self._task}"),
             title_align="left",
         )
 
@@ -138,23 +145,23 @@ class TerminalDisplay:
         status = self._status
         rates = {name: progress.window.rate(name) for name in progress.criteria}
         success = ", ".join(f"{name} {percent(rate)}" for name, rate in rates.items() if rate is not None)
-        return (
+        return printable(
             f"training trials {progress.trials}  {speed(self._speed):.1f}/s  epoch {progress.epoch}  "
             f"active {status.get('active', '-')} of {status.get('eligible', '-')} samples"
             + (f"  last 50: {success}" if len(progress.window) else "")
         )
 
     def _success(self, progress: Progress) -> Table:
-        table = Table("evaluation", "by epoch", "first", "newest", "95 % interval", title_justify="left")
+        table = _table("evaluation", "by epoch", "first", "newest", "95 % interval")
         results = sorted((r for r in progress.epochs.values() if r.closed), key=lambda result: result.epoch)
         for name in progress.criteria if results else ():
-            judged = [result for result in results if name in result.judged]
+            judged = [result.tally for result in results if result.tally.judged[name]]
             if not judged:
                 continue
-            rates = [result.rate(name) for result in judged]
+            rates = [tally.rate(name) for tally in judged]
             low, high = judged[-1].interval(name)
             table.add_row(
-                Text(name),
+                _text(name),
                 sparkline(rates),
                 percent(rates[0]),
                 percent(rates[-1]),
@@ -163,20 +170,20 @@ class TerminalDisplay:
         return table
 
     def _reasons(self, progress: Progress) -> Table:
-        table = Table("how trials end", "count", "share", "last 50")
+        table = _table("how trials end", "count", "share", "last 50")
         for reason, count, share, lately in reason_rows(progress)[:12]:
-            table.add_row(Text(reason), str(count), percent(share), percent(lately))
+            table.add_row(_text(reason), str(count), percent(share), percent(lately))
         return table
 
     def _workers(self, progress: Progress, now: float) -> Table:
-        table = Table("worker", "state", "reported", "last heard")
+        table = _table("worker", "state", "reported", "last heard")
         for worker in worker_rows(self._status, progress, now - self._answered)[:12]:
             quiet = "" if worker.quiet_s is None else f"{worker.quiet_s:.0f} s"
-            table.add_row(Text(worker.name), Text(worker.state), str(worker.trials), quiet)
+            table.add_row(_text(worker.name), _text(worker.state), str(worker.trials), quiet)
         return table
 
     def _server(self) -> Table:
-        table = Table("asked of the server", "median", "p99")
+        table = _table("asked of the server", "median", "p99")
         for verb, (p50, p99) in sorted(latency_ms(self._status).items()):
-            table.add_row(Text(verb), f"{p50:.2f} ms", f"{p99:.2f} ms")
+            table.add_row(_text(verb), f"{p50:.2f} ms", f"{p99:.2f} ms")
         return table

@@ -110,7 +110,7 @@ class Viewer:
 
     def complaint(self) -> str:
         """The last line of its log."""
-        lines = self._log.read_text(errors="replace").strip().splitlines()
+        lines = self._log.read_text(errors="replace", encoding="utf-8").strip().splitlines()
         return lines[-1] if lines else "no output"
 
     def close(self) -> None:
@@ -139,7 +139,7 @@ class Viewer:
         while time.monotonic() < deadline:
             if not self.is_running:
                 raise Unavailable(f"the viewer ended at once: {self.complaint()}")
-            if SERVING in self._log.read_text(errors="replace") and _answers(address):
+            if SERVING in self._log.read_text(errors="replace", encoding="utf-8") and _answers(address):
                 return
             try:
                 self._process.wait(0.05)
@@ -148,9 +148,12 @@ class Viewer:
         raise Unavailable(f"the viewer's page at {address} did not answer within {READY_S:.0f} s: {self.complaint()}")
 
 
+_fetch: Final = urllib.request.build_opener(urllib.request.ProxyHandler({})).open  # a proxy does not know this machine
+
+
 def _answers(address: str) -> bool:
     try:
-        with urllib.request.urlopen(address, timeout=1.0):  # an http address of our own
+        with _fetch(address, timeout=1.0):
             return True
     except (urllib.error.URLError, OSError):
         return False
@@ -181,6 +184,7 @@ def _environment(home: Path) -> dict[str, str]:
                 "config_file_path": str(settings),
                 "data_dir_path": str(home / "data"),
             }
-        )
+        ),
+        encoding="utf-8",
     )
     return {**os.environ, "XDG_CONFIG_HOME": str(home), "NO_COLOR": "1"}

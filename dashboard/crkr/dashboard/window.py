@@ -6,6 +6,8 @@ from collections import Counter, deque
 from collections.abc import Mapping
 from typing import final
 
+from crkr.client.tally import Tally
+
 __all__ = ["Window"]
 
 
@@ -20,20 +22,17 @@ class Window:
     def __init__(self, size: int) -> None:
         self._entries: deque[tuple[float | None, Mapping[str, bool], str]] = deque()
         self._size = size
-        self._met: Counter[str] = Counter()
-        self._judged: Counter[str] = Counter()
+        self._tally = Tally()
         self.reasons: Counter[str] = Counter()
 
     def add(self, cost: float | None, outcomes: Mapping[str, bool], reason: str) -> None:
         """Takes a trial in; the oldest falls out of a full window."""
         if len(self._entries) == self._size:
             _, met, gone = self._entries.popleft()
-            self._met.subtract(name for name, is_met in met.items() if is_met)
-            self._judged.subtract(dict.fromkeys(met, 1))
+            self._tally.remove(met)
             self.reasons.subtract([gone])
         self._entries.append((cost, outcomes, reason))
-        self._met.update(name for name, is_met in outcomes.items() if is_met)
-        self._judged.update(dict.fromkeys(outcomes, 1))
+        self._tally.add(outcomes)
         self.reasons.update([reason])
 
     def __len__(self) -> int:
@@ -41,7 +40,7 @@ class Window:
 
     def rate(self, criterion: str) -> float | None:
         """Share that met the criterion of the trials that were judged by it, or None without any."""
-        return self._met[criterion] / self._judged[criterion] if self._judged[criterion] else None
+        return self._tally.rate(criterion) if self._tally.judged[criterion] else None
 
     def share(self, reason: str) -> float:
         """Share of trials that ended so."""

@@ -13,6 +13,7 @@ from crkr.learner.exploration.explorer import Choice, Explorer, GaussianExplorer
 from crkr.learner.exploration.outcome_explorer import OutcomeExplorer
 from crkr.learner.exploration.truncated_normal import truncated_normal
 from crkr.learner.kernel import Kernel
+from crkr.learner.knowledge import check_fit
 from crkr.learner.learner import SELECTORS, Learner
 from crkr.learner.model import Model
 from crkr.learner.noise import noise_variances
@@ -48,6 +49,7 @@ __all__ = [
     "SelectorFactory",
     "Standing",
     "TrialColumns",
+    "check_fit",
     "draw_ids",
     "fit",
     "log_evidence",

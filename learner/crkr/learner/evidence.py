@@ -28,6 +28,9 @@ __all__ = ["FitProblem", "FitResult", "fit", "log_evidence"]
 
 _LENGTHSCALE_RANGE: Final = (0.05, 20.0)  # times those of the task's creation
 _VARIANCE_RANGE: Final = (1e-3, 1e3)
+_LOG_NUMBERS: Final = (-690.0, 690.0)  # beyond, exp is no number to compute with
+_MOST: Final = 1500  # samples that a fit looks at
+_FARTHEST: Final = 1e4  # medians, or length-scales, that a sample may be from the centre
 _MAX_ITERATIONS: Final = 60
 _UNREACHABLE: Final = 1e25  # stands for an infinite objective, which L-BFGS cannot step back from
 
@@ -61,16 +64,24 @@ class FitProblem:
     def of(cls, model: Model, reference: Array) -> FitProblem:
         """The problem of fitting a model's active samples, starting from its own kernel.
 
+        Samples that are absurdly far from the others are left out: they tell nothing of length-scales, and beside them
+        the rest is lost in rounding. Of more than `_MOST` every so many stand for all, or a fit would take minutes.
+
         Raises:
             NoSamples: No sample is active.
         """
         own = model.parameters
         if not model.active:
             raise NoSamples(f"task {own.task!r} has no active sample to fit to")
+        X = model.states - own.kernel.centre
+        away = np.abs(X)
+        near = np.flatnonzero((away <= _FARTHEST * np.maximum(reference, np.median(away, axis=0))).all(axis=1))
+        if len(near) > _MOST:
+            near = near[np.linspace(0, len(near) - 1, _MOST).astype(np.int64)]
         return cls(
-            X=model.states - own.kernel.centre,
-            Y=(model.goals - own.prior) / own.scales,
-            noise=noise_variances(model.costs, own.regularisation, own.cost_map, 0.0),
+            X=X[near],
+            Y=(model.goals[near] - own.prior) / own.scales,
+            noise=noise_variances(model.costs[near], own.regularisation, own.cost_map, 0.0),
             noise_floor=own.noise_floor,
             lengthscales=own.kernel.lengthscales,
             signal_variance=own.kernel.signal_variance,
@@ -99,10 +110,12 @@ class FitResult:
     after: float
 
 
+@np.errstate(over="ignore", invalid="ignore")  # told by the result
 def log_evidence(problem: FitProblem, theta: Array) -> tuple[float, Array]:
     """Log marginal likelihood and its gradient (d + 1,) with respect to theta  [Cardoso2017, eq. 6 and 7].
 
-    Returns -inf and a zero gradient where the kernel matrix is not numerically positive definite.
+    Returns -inf and a zero gradient where the kernel matrix is not numerically positive definite, or numbers are so far
+    apart that evidence or gradient is none.
     """
     lengthscales, variance = np.exp(theta[:-1]), float(np.exp(theta[-1]))
     m, p = problem.Y.shape
@@ -133,6 +146,8 @@ def log_evidence(problem: FitProblem, theta: Array) -> tuple[float, Array]:
     sums = G.sum(axis=1)
     gradient[:-1] += sums @ (Z * Z) - np.einsum("ij,ij->j", Z, G @ Z)
     gradient[-1] += 0.5 * float(sums.sum())
+    if not (np.isfinite(value) and np.isfinite(gradient).all()):
+        return -np.inf, np.zeros_like(theta)
     return value, gradient
 
 
@@ -144,6 +159,7 @@ def fit(problem: FitProblem) -> FitResult:
     log_reference, log_variance = np.log(problem.reference), np.log(problem.signal_variance)
     low = np.append(log_reference + np.log(_LENGTHSCALE_RANGE[0]), np.log(_VARIANCE_RANGE[0]))
     high = np.append(log_reference + np.log(_LENGTHSCALE_RANGE[1]), np.log(_VARIANCE_RANGE[1]))
+    low, high = np.maximum(low, _LOG_NUMBERS[0]), np.minimum(high, _LOG_NUMBERS[1])
     start = np.append(np.log(problem.lengthscales), log_variance)
     at_start = log_evidence(problem, start)
     before = at_start[0]

@@ -20,6 +20,7 @@ __all__ = ["Kernel", "squared_distances"]
 
 # Far beyond any sensor, and still a number whose square and products stay finite.
 _FARTHEST: Final = 1e50
+_LONGEST: Final = 1e250  # length-scale that can be multiplied by it
 
 
 def squared_distances(A: Array, B: Array, out: Array | None = None) -> Array:
@@ -59,8 +60,9 @@ class Kernel:
             copy = np.array(getattr(self, name), dtype=np.float64)
             copy.setflags(write=False)
             object.__setattr__(self, name, copy)
-        object.__setattr__(self, "_high", _FARTHEST * self.lengthscales)
-        object.__setattr__(self, "_low", -_FARTHEST * self.lengthscales)
+        farthest = _FARTHEST * np.minimum(self.lengthscales, _LONGEST)
+        object.__setattr__(self, "_high", farthest)
+        object.__setattr__(self, "_low", -farthest)
 
     def standardise(self, states: Array) -> Array:
         """States (..., d) in their units to the standardised ones that the other methods take; always finite."""

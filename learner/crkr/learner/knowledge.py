@@ -23,9 +23,22 @@ from crkr.learner.selection.anms_batch import Indices
 from crkr.learner.selection.eligible_rows import RadiiCache, Selection
 from crkr.learner.selection.selector import SelectorFactory
 from crkr.protocol import Array, Conflict, Invalid, TaskSpec, Trial, id_from_wire
-from crkr.protocol.checks import finite_array, number
+from crkr.protocol.checks import cost_number, finite_array, number
 
-__all__ = ["Knowledge"]
+__all__ = ["Knowledge", "check_fit"]
+
+
+def check_fit(spec: TaskSpec, lengthscales: object, signal_variance: object) -> tuple[Array, float]:
+    """Numbers of a fit, as a task of this specification takes them; what is logged must pass first.
+
+    Raises:
+        Invalid: Numbers that are not finite and positive, or not d of them.
+    """
+    fitted = finite_array(lengthscales, "lengthscales", (len(spec.state),))
+    variance = number(signal_variance, "signal_variance", above=0.0)
+    if (fitted <= 0).any():
+        raise Invalid(f"lengthscales must be positive; got {fitted.tolist()}")
+    return fitted, variance
 
 _NEWEST: Final = 200  # trials that say how often goals succeed
 
@@ -123,13 +136,13 @@ class Knowledge:
         """
         rows = self._rows_of(ids)
         checked = finite_array(costs, "costs", (len(rows),))
-        values = [number(cost, "cost", low=0.0, high=1.0) for cost in checked.tolist()]
+        values = [cost_number(cost, "cost") for cost in checked.tolist()]
         self._check_seqs([seq], 1)
         changed = [(row, cost) for row, cost in zip(rows, values, strict=True) if self.store.costs[row] != cost]
         for row, cost in changed:
             self.store.recost(row, cost)
-            if not (self._deferred or self.store.removed[row]):
-                self.selection.recost(row)
+        if not self._deferred:
+            self.selection.recost([row for row, _ in changed if not self.store.removed[row]])
         self.version = seq
         self._refresh(any(row in self._names for row, _ in changed))
         return len(changed)
@@ -146,10 +159,10 @@ class Knowledge:
         self.eligible_count -= int(np.count_nonzero(leaving))
         for row in rows:
             self.store.remove(row)
-            if not self._deferred:
-                self.selection.remove(row)
-        if self._guided is not None and not self._deferred:
-            self._guided.remove(rows)
+        if not self._deferred:
+            self.selection.remove(rows)
+            if self._guided is not None:
+                self._guided.remove(rows)
         self.version = seq
         self._refresh(any(self.store.is_demonstration(row) for row in rows))
         return len(rows)
@@ -183,10 +196,7 @@ class Knowledge:
         Raises:
             Invalid: Numbers that are not positive, or not d of them.
         """
-        fitted = finite_array(lengthscales, "lengthscales", (len(self.spec.state),))
-        variance = number(signal_variance, "signal_variance", above=0.0)
-        if (fitted <= 0).any():
-            raise Invalid(f"lengthscales must be positive; got {fitted.tolist()}")
+        fitted, variance = check_fit(self.spec, lengthscales, signal_variance)
         self._check_seqs([seq], 1)
         self._set_kernel(fitted, variance)
         self.version, self.since_fit = seq, 0

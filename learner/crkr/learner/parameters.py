@@ -12,7 +12,7 @@ from crkr.learner.kernel import Kernel
 from crkr.learner.noise import noise_variances
 from crkr.protocol import Array, Invalid, TaskSpec
 from crkr.protocol.codec import array_from_wire
-from crkr.protocol.settings import Start
+from crkr.protocol.specification.settings import Start
 
 __all__ = ["Parameters"]
 

@@ -8,7 +8,7 @@
 
 The factor is made once; nothing is ever inverted. Where a sample is exchanged, all is factored anew: no update of
 a factor that numpy and scipy offer earns its place up to m = 1000, where a new model takes some 12 ms. Larger budgets
-work, but a step then costs tens or hundreds of milliseconds.
+work, but a step then costs tens or hundreds of milliseconds; other threads go on meanwhile, see `cholesky`.
 """
 
 from __future__ import annotations
@@ -19,10 +19,11 @@ from dataclasses import dataclass
 from typing import Final, final
 
 import numpy as np
-from scipy.linalg import blas, lapack
+from scipy.linalg import blas
 
+from crkr.learner.cholesky import factor, solve, solve_lower
 from crkr.learner.kernel import Kernel
-from crkr.protocol import Array
+from crkr.protocol import Array, Internal
 
 __all__ = ["KernelMaker", "Regression"]
 
@@ -31,8 +32,10 @@ KernelMaker = Callable[[Kernel, Array], Array]
 
 _log = logging.getLogger(__name__)
 
+_LIMITS: Final = np.finfo(np.float64)
 _BLOCK: Final = 128  # queries at a time, so that their kernel rows stay in the cache
 _APPEND_FROM: Final = 512  # below this size a fresh factor costs less than the care to extend one
+_ATTEMPTS: Final = 40  # at a factor; far fewer do, as floors grow from the rounding of K to K itself in 16
 
 
 @final
@@ -78,9 +81,21 @@ class Regression:
             noise: (m,) noise variances, > 0.
             previous: An earlier regression whose factor is extended if its samples lead these.
             matrix: Gives the kernel matrix of Z for less than it costs to make; it may be asked more than once.
+
+        Raises:
+            Internal: The kernel matrix holds what is not a number, so that no noise makes it factor.
         """
         L, floor = _extended(kernel, Z, noise, previous) or _factor(kernel, Z, noise, matrix)
-        W, _ = lapack.dpotrs(L, Y, lower=1)
+        if floor > float(noise.min()):
+            told = previous is not None and previous.floor > float(previous.noise.min())
+            _log.log(
+                logging.DEBUG if told else logging.WARNING,  # once for the many models that follow each other
+                "%d samples factored only with noise floor %.1e; %.1e was asked for",
+                len(Z),
+                floor,
+                float(noise.min()),
+            )
+        W = solve(L, Y)
         regression = cls(kernel, Z, noise, L, np.ascontiguousarray(W), floor)
         for array in (Z, noise, L, regression.W):
             array.setflags(write=False)
@@ -104,35 +119,35 @@ class Regression:
             block = slice(start, min(start + _BLOCK, len(Z)))
             k = self.kernel.matrix(Z[block], self.Z, out=rows[: block.stop - start])
             np.matmul(k, self.W, out=means[block])
-            V = blas.dtrsm(1.0, self.L, k.T, lower=1, overwrite_b=1)  # (m, b), in place of k
+            V = solve_lower(self.L, k.T)  # (m, b), in place of k
             variances[block] -= np.vecdot(V.T, V.T)
         return means, np.maximum(variances, 0.0), prior
 
     def influence(self, z: Array) -> Array:
         """(m,) weights with which each sample's goal enters the mean at z, (K + diag(N))^-1 k."""
-        weights, _ = lapack.dpotrs(self.L, self.kernel.matrix(z[None], self.Z)[0], lower=1)
-        return np.asarray(weights)
+        return solve(self.L, self.kernel.matrix(z[None], self.Z).T)[:, 0]
 
 
 def _factor(kernel: Kernel, Z: Array, noise: Array, matrix: KernelMaker | None) -> tuple[Array, float]:
     """Lower factor of K + diag(noise), and the noise floor it took: ten times more after every failed pivot.
 
-    K is factored in place and made anew for another attempt, which is rare: a copy kept at hand costs every model more
-    in fresh memory than the kernel itself.
+    The floor is in proportion to the diagonal of K, which differs where there is a linear term: one state that is far
+    away must not drown the others. K is factored in place and made anew for another attempt, which is rare: a copy kept
+    at hand costs every model more in fresh memory than the kernel itself.
     """
-    floor = asked = float(noise.min())
-    while True:
+    floor = float(noise.min())
+    for _ in range(_ATTEMPTS):
         K = kernel.matrix(Z, Z) if matrix is None else matrix(kernel, Z)
         diagonal = K.reshape(-1)[:: len(K) + 1]
-        smallest_useful = np.finfo(np.float64).eps * float(diagonal.max())
-        diagonal += np.maximum(noise, floor)
-        A = K.T  # K is symmetric; its transpose is in the order that LAPACK wants
-        L, failed_pivot = lapack.dpotrf(A, lower=1, clean=1, overwrite_a=1)
+        largest = float(diagonal.max())
+        floors = floor * (diagonal / largest) if kernel.linear_weight else floor
+        diagonal += np.maximum(noise, floors)
+        L, failed_pivot = factor(K.T)  # K is symmetric; its transpose is in the order that LAPACK wants
         if not failed_pivot:
             break
-        floor = max(10.0 * floor, smallest_useful)
-    if floor > asked:
-        _log.warning("%d samples factored only with noise floor %.1e; %.1e was asked for", len(Z), floor, asked)
+        floor = max(10.0 * floor, _LIMITS.eps * largest, _LIMITS.tiny)  # the last where all else rounds to nothing
+    else:
+        raise Internal(f"the kernel matrix of {len(Z)} samples does not factor even with a noise floor of {floor:.1e}")
     return L, floor
 
 
@@ -148,8 +163,8 @@ def _extended(kernel: Kernel, Z: Array, noise: Array, previous: Regression | Non
     L = np.zeros((len(Z), len(Z)), order="F")
     L[:n, :n] = previous.L
     new = Z[n:]
-    rows = blas.dtrsm(1.0, previous.L, kernel.matrix(new, Z[:n]).T, lower=1)  # (n, a)
+    rows = solve_lower(previous.L, kernel.matrix(new, Z[:n]).T)  # (n, a)
     L[n:, :n] = rows.T
     corner = kernel.matrix(new, new) + np.diag(noise[n:]) - rows.T @ rows
-    L[n:, n:], failed_pivot = lapack.dpotrf(corner, lower=1, clean=1)
+    L[n:, n:], failed_pivot = factor(np.asfortranarray(corner))
     return None if failed_pivot else (L, float(noise.min()))

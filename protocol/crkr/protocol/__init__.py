@@ -13,9 +13,9 @@ from crkr.protocol.codec import (
     encoding,
     id_from_wire,
     pack,
+    pack_around,
     unpack,
 )
-from crkr.protocol.dimensions import GoalDimension, OutcomeEntry, StateDimension
 from crkr.protocol.errors import (
     Busy,
     Conflict,
@@ -32,7 +32,6 @@ from crkr.protocol.errors import (
     error_from_wire,
     error_to_wire,
 )
-from crkr.protocol.explanation import Explanation, Neighbour, SampleExplanation
 from crkr.protocol.ids import demonstration_id, evaluation_id, random_ids, task_id, training_id
 from crkr.protocol.keys import (
     ADMIN_VERBS,
@@ -48,12 +47,17 @@ from crkr.protocol.keys import (
     split_key,
     task_key,
 )
-from crkr.protocol.make_trials import make_trials
-from crkr.protocol.predict import Prediction, PredictRequest, check_states
-from crkr.protocol.report import Receipt, ReportRequest, StoredTrial
-from crkr.protocol.settings import Exploration, KernelSettings
-from crkr.protocol.task_spec import CHANGEABLE, TaskSpec
-from crkr.protocol.telemetry import MAX_TELEMETRY_BYTES, Geom, Trace, geoms_from_wire, geoms_to_wire
+from crkr.protocol.messages.explanation import Explanation, Neighbour, SampleExplanation
+from crkr.protocol.messages.predict import Prediction, PredictRequest, check_states
+from crkr.protocol.messages.report import Receipt, ReportRequest, StoredTrial
+from crkr.protocol.messages.report_arguments import make_trials
+from crkr.protocol.messages.sizes import check_model_fits, most_active, most_states, most_states_answered
+from crkr.protocol.messages.telemetry import MAX_TELEMETRY_BYTES, Geom, Trace, geoms_from_wire, geoms_to_wire
+from crkr.protocol.plain_text import LogFormatter, printable
+from crkr.protocol.specification.dimensions import GoalDimension, OutcomeEntry, StateDimension
+from crkr.protocol.specification.limits import MOST_ACTIVE, MOST_KEPT, refuse_absurd
+from crkr.protocol.specification.settings import Exploration, KernelSettings
+from crkr.protocol.specification.task_spec import CHANGEABLE, TaskSpec
 from crkr.protocol.trial import KINDS, Trial
 
 __all__ = [
@@ -64,6 +68,8 @@ __all__ = [
     "MAX_STATES",
     "MAX_TELEMETRY_BYTES",
     "MAX_TRIALS",
+    "MOST_ACTIVE",
+    "MOST_KEPT",
     "PROTOCOL_VERSION",
     "SERVER_VERBS",
     "TASK_VERBS",
@@ -78,6 +84,7 @@ __all__ = [
     "Internal",
     "Invalid",
     "KernelSettings",
+    "LogFormatter",
     "Neighbour",
     "NoSamples",
     "NovelState",
@@ -101,6 +108,7 @@ __all__ = [
     "array_from_wire",
     "array_to_wire",
     "check_encoding",
+    "check_model_fits",
     "check_name",
     "check_states",
     "demonstration_id",
@@ -114,9 +122,15 @@ __all__ = [
     "live_server_key",
     "live_worker_key",
     "make_trials",
+    "most_active",
+    "most_states",
+    "most_states_answered",
     "pack",
+    "pack_around",
+    "printable",
     "pub_key",
     "random_ids",
+    "refuse_absurd",
     "rpc_key",
     "split_key",
     "task_id",

@@ -8,12 +8,39 @@ from typing import Any, Final
 
 import numpy as np
 
-from crkr.protocol.codec import Array
-from crkr.protocol.errors import Invalid
+from crkr.protocol.codec import Array, is_masked
+from crkr.protocol.errors import Invalid, shown
 
-__all__ = ["choice", "depth", "entries", "finite_array", "flag", "integer", "number", "required", "text"]
+__all__ = [
+    "ROUNDING",
+    "SINGLE_STEP",
+    "choice",
+    "cost_number",
+    "depth",
+    "entries",
+    "finite_array",
+    "flag",
+    "integer",
+    "number",
+    "refuse_masked",
+    "required",
+    "shown",
+    "text",
+]
 
+ROUNDING: Final = 1e-6  # of a range: how far outside it a value is taken as rounded, and moved to the bound
+SINGLE_STEP: Final = 2.0**-23  # of a number: the step from one float32 to the next
 _SHORT: Final = 64
+
+
+def refuse_masked(value: object, name: str, within: int = 2) -> None:
+    """Raises `Invalid` for a masked array, or lists with one in it: numpy would take what the mask hides."""
+    if is_masked(value):
+        raise Invalid(f"{name} is a masked array; fill its gaps with NaN, or leave them out", details={"field": name})
+    if within and isinstance(value, list | tuple):
+        for entry in value:
+            if not isinstance(entry, float | int):
+                refuse_masked(entry, name, within - 1)
 
 
 def required(message: Mapping[str, Any], field: str) -> Any:
@@ -36,18 +63,19 @@ def depth(value: object, name: str) -> int:
     """How deep an array is nested, or `Invalid` where its rows differ in length."""
     try:
         return np.ndim(value)  # type: ignore[arg-type]  # whatever it is, numpy has an answer or a ValueError
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise Invalid(f"{name} must be a regular array: {error}", details={"field": name}) from error
 
 
-def _numbers(value: object) -> Array:
+def _numbers(value: object, name: str) -> Array:
     """A float64 copy; text, truth values and complex numbers are no numbers here, None is NaN."""
+    refuse_masked(value, name)
     raw = np.asarray(value)
     if raw.dtype.kind not in "iuf":
         given = raw.ravel().tolist() if raw.dtype.kind == "O" else [raw.dtype]
         strange = [entry for entry in given if entry is not None and (type(entry) is bool or not _is_real(entry))]
         if strange:
-            raise TypeError(f"{strange[0]!r:.80} is not a number")
+            raise TypeError(f"{shown(strange[0])} is not a number")
     return np.array(raw, dtype=np.float64)
 
 
@@ -68,8 +96,8 @@ def finite_array(value: object, name: str, shape: tuple[int | None, ...], *, all
             vector.setflags(write=False)
             return vector
     try:
-        array = _numbers(value)
-    except (TypeError, ValueError, OverflowError) as error:
+        array = _numbers(value, name)
+    except (TypeError, ValueError, OverflowError, RecursionError) as error:
         raise Invalid(f"{name} must be an array of numbers: {error}", details={"field": name}) from error
     fits = array.ndim == len(shape) and all(want in (None, have) for want, have in zip(shape, array.shape, strict=True))
     if not fits:
@@ -105,21 +133,30 @@ def number(
         result = math.inf
     if not math.isfinite(result) or not low <= result <= high or (above is not None and result <= above):
         wanted = f"in [{low}, {high}]" if above is None else f"above {above}, at most {high}"
-        raise Invalid(f"{name} must be a finite number {wanted}; got {value!r:.80}", details={"field": name})
+        raise Invalid(f"{name} must be a finite number {wanted}; got {shown(value)}", details={"field": name})
     return result
+
+
+def cost_number(value: object, name: str) -> float:
+    """A cost in [0, 1]; one that is outside by rounding becomes the bound. Raises `Invalid`."""
+    try:
+        cost = number(value, name, low=-ROUNDING, high=1.0 + ROUNDING)
+    except Invalid:
+        return number(value, name, low=0.0, high=1.0)  # says what is right, not what is let pass
+    return min(max(cost, 0.0), 1.0) + 0.0  # stores may lose the sign of -0.0
 
 
 def integer(value: object, name: str, *, low: int = 0, high: int = 2**62) -> int:
     """A whole number in [low, high]; or `Invalid`."""
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or not low <= value <= high:
-        raise Invalid(f"{name} must be a whole number in [{low}, {high}]; got {value!r:.80}", details={"field": name})
+        raise Invalid(f"{name} must be a whole number in [{low}, {high}]; got {shown(value)}", details={"field": name})
     return int(value)
 
 
 def flag(value: object, name: str) -> bool:
     """True or False; or `Invalid`."""
     if not isinstance(value, bool | np.bool_):
-        raise Invalid(f"{name} must be true or false; got {value!r:.80}", details={"field": name})
+        raise Invalid(f"{name} must be true or false; got {shown(value)}", details={"field": name})
     return bool(value)
 
 
@@ -127,8 +164,13 @@ def text(value: object, name: str, *, longest: int = 4096) -> str:
     """Text of at most `longest` characters; or `Invalid`."""
     if not isinstance(value, str) or len(value) > longest:
         raise Invalid(
-            f"{name} must be text of at most {longest} characters; got {value!r:.80}", details={"field": name}
+            f"{name} must be text of at most {longest} characters; got {shown(value)}", details={"field": name}
         )
+    if not value.isascii():
+        try:
+            value.encode()
+        except UnicodeEncodeError as error:
+            raise Invalid(f"{name} must be Unicode text; got {shown(value)}", details={"field": name}) from error
     return value
 
 
@@ -136,5 +178,5 @@ def choice(value: object, name: str, options: Collection[str]) -> str:
     """One of the options; or `Invalid` that lists them."""
     if not isinstance(value, str) or value not in options:
         listed = ", ".join(repr(option) for option in options)
-        raise Invalid(f"{name} must be one of {listed}; got {value!r:.80}", details={"field": name})
+        raise Invalid(f"{name} must be one of {listed}; got {shown(value)}", details={"field": name})
     return value

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import sys
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import Any, Final
@@ -13,21 +14,27 @@ import msgpack
 import numpy as np
 from numpy.typing import NDArray
 
-from crkr.protocol.errors import Invalid, Unsupported
+from crkr.protocol.errors import Invalid, Unsupported, shown
 from crkr.protocol.keys import PROTOCOL_VERSION
 
 __all__ = [
+    "MAX_DEPTH",
     "MAX_MESSAGE_BYTES",
     "MAX_STATES",
     "MAX_TRIALS",
     "Array",
     "array_from_wire",
+    "array_map",
     "array_to_wire",
+    "check_depth",
     "check_encoding",
     "encoding",
     "frozen_from_wire",
     "id_from_wire",
+    "is_masked",
     "pack",
+    "pack_around",
+    "salvage",
     "unpack",
 ]
 
@@ -36,9 +43,10 @@ Array = NDArray[np.float64]
 MAX_MESSAGE_BYTES: Final = 8 * 1024 * 1024
 MAX_STATES: Final = 4096
 MAX_TRIALS: Final = 1024
+MAX_DEPTH: Final = 64  # of maps and lists in each other; some readers recurse
 _MEDIA: Final = "application/msgpack"
 _DTYPES: Final = {name: np.dtype(name) for name in ("<f8", "<f4", "<i8")}
-_ENCODING: Final = re.compile(rf"{_MEDIA};crkr\.[a-z_]+\.v(\d+)")
+_ENCODING: Final = re.compile(rf"{_MEDIA};crkr\.[a-z_]+\.v([0-9]{{1,9}})")
 
 
 def encoding(kind: str) -> str:
@@ -58,8 +66,8 @@ def check_encoding(text: str) -> None:
     match = _ENCODING.fullmatch(text)
     if match is None or int(match[1]) != PROTOCOL_VERSION:
         raise Unsupported(
-            f"encoding {text!r} is not offered; this is {encoding('<type>')!r}",
-            details={"protocol": PROTOCOL_VERSION, "encoding": text},
+            f"encoding {shown(text)} is not offered; this is {encoding('<type>')!r}",
+            details={"protocol": PROTOCOL_VERSION, "encoding": text[:80]},
         )
 
 
@@ -70,7 +78,7 @@ def _default(value: object) -> object:
         return value.bytes
     if isinstance(value, np.generic):
         return value.item()
-    raise TypeError(f"{type(value).__name__} cannot be sent: {value!r}")
+    raise TypeError(f"{type(value).__name__} cannot be sent: {shown(value)}")
 
 
 def pack(message: Mapping[str, Any]) -> bytes:
@@ -85,11 +93,28 @@ def pack(message: Mapping[str, Any]) -> bytes:
         raise Invalid(f"message cannot be encoded: {error}") from error
 
 
-def unpack(data: bytes) -> dict[str, Any]:
-    """Decodes one message.
+def pack_around(message: Mapping[str, Any], name: str, packed: bytes | Sequence[bytes]) -> bytes:
+    """`pack` of a message with one field more, the last, whose value (or each of whose entries) is encoded already.
 
     Raises:
-        Invalid: Too large, not msgpack, not a map, or keys that are not text.
+        Invalid: Something in the message is not plain data.
+    """
+    if isinstance(packed, bytes):
+        return pack({**message, name: None})[:-1] + packed
+    count = len(packed)  # a nil is one byte, so that a list of them is its header and a byte for each
+    return b"".join((pack({**message, name: [None] * count})[: -count or None], *packed))
+
+
+def unpack(data: bytes, depth: int | None = MAX_DEPTH) -> dict[str, Any]:
+    """Decodes one message.
+
+    Args:
+        data: The message's bytes.
+        depth: How deep maps and lists may be nested; None: as deep as msgpack goes, 1024, for what was stored before
+            the limit was set.
+
+    Raises:
+        Invalid: Too large, not msgpack, not a map, nested too deep, or keys that are not text.
     """
     if len(data) > MAX_MESSAGE_BYTES:
         raise Invalid(f"message has {len(data)} bytes; the limit is {MAX_MESSAGE_BYTES}")
@@ -104,23 +129,65 @@ def unpack(data: bytes) -> dict[str, Any]:
     for key in message:
         if type(key) is not str:
             raise Invalid(f"message must be a map with text keys; got a key of type {type(key).__name__}")
+    if depth is not None:
+        check_depth(message, depth)
     return message
 
 
+def is_masked(value: object) -> bool:
+    """Whether it is a masked array; numpy imports what makes them only where they are used, and so does this."""
+    kind = getattr(sys.modules.get("numpy.ma"), "MaskedArray", None)
+    return kind is not None and isinstance(value, kind)
+
+
+def salvage(data: bytes) -> dict[str, Any]:
+    """Decodes what `unpack` refuses, as far as msgpack can, for people to look at; empty where it cannot."""
+    try:
+        found = msgpack.unpackb(data, strict_map_key=False, unicode_errors="replace")
+    except (ValueError, TypeError, OverflowError, RecursionError, msgpack.UnpackException):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def check_depth(message: Mapping[str, Any], most: int = MAX_DEPTH) -> None:
+    """Raises `Invalid` where a decoded message is nested deeper, without recursion."""
+    level: list[Any] = [message]
+    for _ in range(most):
+        level = [
+            value
+            for outer in level
+            for value in (outer.values() if type(outer) is dict else outer)
+            if type(value) is dict or type(value) is list
+        ]
+        if not level:
+            return
+    raise Invalid(f"message is nested more than {most} deep")
+
+
 def array_to_wire(array: NDArray[Any]) -> dict[str, Any]:
-    """Encodes an array as its map: integers as <i8, float32 as <f4, all else as <f8."""
+    """Encodes an array as its map: integers as <i8, float32 as <f4, other floats as <f8.
+
+    Raises:
+        TypeError: It is masked, or not of real numbers.
+    """
+    if is_masked(array) or array.dtype.kind not in "biuf":
+        what = "a masked array" if is_masked(array) else f"an array of {array.dtype}"
+        raise TypeError(f"{what} cannot be sent")
+    if array.dtype.kind == "u" and array.dtype.itemsize == 8 and array.size and array.max() >= 2**63:
+        raise TypeError("whole numbers of 2^63 and more cannot be sent in an array")
     dtype = "<i8" if array.dtype.kind in "iub" else "<f4" if array.dtype == np.float32 else "<f8"
     data = np.ascontiguousarray(array, dtype=dtype)
     return {"shape": list(array.shape), "dtype": dtype, "data": data.tobytes()}
 
 
-def _from_map(value: Mapping[str, Any], name: str) -> NDArray[Any]:
+def array_map(value: Mapping[str, Any], name: str) -> NDArray[Any]:
+    """The array of a map, as a view of the message's bytes; raises `Invalid`."""
     shape, dtype, data = value.get("shape"), value.get("dtype"), value.get("data")
     known = _DTYPES.get(dtype) if isinstance(dtype, str) else None
     if known is None:
-        raise Invalid(f"{name}.dtype must be one of {', '.join(_DTYPES)}; got {dtype!r}")
+        raise Invalid(f"{name}.dtype must be one of {', '.join(_DTYPES)}; got {shown(dtype)}")
     if not isinstance(shape, list) or len(shape) > 4 or not _are_sizes(shape):
-        raise Invalid(f"{name}.shape must be a list of at most 4 sizes; got {shape!r:.80}")
+        raise Invalid(f"{name}.shape must be a list of at most 4 sizes; got {shown(shape)}")
     expected = known.itemsize * math.prod(shape)
     if not isinstance(data, bytes) or len(data) != expected:
         got = f"{len(data)} bytes" if isinstance(data, bytes) else type(data).__name__
@@ -162,19 +229,19 @@ def array_from_wire(value: object, name: str) -> Array:
         Invalid: None of these forms, or sizes and bytes that disagree.
     """
     if isinstance(value, dict):
-        return _from_map(value, name).astype(np.float64)
+        return array_map(value, name).astype(np.float64)
     if isinstance(value, list | tuple):
         return _from_list(value, name)
     if isinstance(value, int | float) and not isinstance(value, bool):
         return np.array(value, dtype=np.float64)
-    if isinstance(value, np.ndarray) and value.dtype.kind in "iuf":
+    if isinstance(value, np.ndarray) and value.dtype.kind in "iuf" and not is_masked(value):
         return value.astype(np.float64)
     raise Invalid(f"{name} must be an array map or a list of numbers; got {type(value).__name__}")
 
 
 def frozen_from_wire(value: object, name: str) -> Array:
     """As `array_from_wire`, but read-only: the bytes of a message are looked at where they are, not copied."""
-    array = _from_map(value, name) if type(value) is dict else array_from_wire(value, name)
+    array = array_map(value, name) if type(value) is dict else array_from_wire(value, name)
     if array.dtype != np.float64:
         array = array.astype(np.float64)
     if array.flags.writeable:

@@ -16,8 +16,11 @@ CrkrError
 
 from __future__ import annotations
 
+import reprlib
 from collections.abc import Mapping
-from typing import Any, ClassVar, final
+from typing import Any, ClassVar, Final, final
+
+from crkr.protocol.plain_text import printable
 
 __all__ = [
     "Busy",
@@ -34,7 +37,19 @@ __all__ = [
     "Unsupported",
     "error_from_wire",
     "error_to_wire",
+    "shown",
 ]
+
+_REPR: Final = reprlib.Repr()
+_REPR.maxlevel, _REPR.maxstring, _REPR.maxother, _REPR.maxlong = 2, 60, 60, 60
+
+
+def shown(value: object) -> str:
+    """A value in a message: at most 80 characters, however large or deep it is."""
+    try:
+        return f"{_REPR.repr(value):.80}"
+    except Exception:  # a repr may fail in any way, a whole number's where it has thousands of digits
+        return f"a value of type {type(value).__name__}"
 
 
 class CrkrError(Exception):
@@ -132,6 +147,7 @@ class Unavailable(CrkrError):
     code = "UNAVAILABLE"
 
 
+_LONGEST: Final = 4096  # characters of a message: what it quotes of a request may be as long as the request
 _ON_THE_WIRE: Mapping[str, type[CrkrError]] = {
     kind.code: kind
     for kind in (
@@ -150,8 +166,9 @@ _ON_THE_WIRE: Mapping[str, type[CrkrError]] = {
 
 
 def error_to_wire(error: CrkrError) -> dict[str, Any]:
-    """The body of an error reply: code, message and, where given, retry_ms and details."""
-    body: dict[str, Any] = {"code": error.code, "message": error.message}
+    """The body of an error reply: code, message (a long one cut) and, where given, retry_ms and details."""
+    message = error.message if len(error.message) <= _LONGEST else error.message[: _LONGEST - 4] + " ..."
+    body: dict[str, Any] = {"code": error.code, "message": message}
     if error.retry_ms is not None:
         body["retry_ms"] = error.retry_ms
     if error.details:
@@ -160,8 +177,11 @@ def error_to_wire(error: CrkrError) -> dict[str, Any]:
 
 
 def error_from_wire(body: Mapping[str, Any]) -> CrkrError:
-    """The exception for an error reply; an unknown code becomes `Internal` that names it."""
-    code, message = str(body.get("code", "")), str(body.get("message", ""))
+    """The exception for an error reply; an unknown code becomes `Internal` that names it.
+
+    Programs print its message, so it holds no control characters, whatever answered.
+    """
+    code, message = str(body.get("code", "")), printable(str(body.get("message", "")))
     retry_ms, details = body.get("retry_ms"), body.get("details")
     kind = _ON_THE_WIRE.get(code)
     if kind is None:

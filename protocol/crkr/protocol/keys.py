@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 from typing import Final
 
-from crkr.protocol.errors import Invalid
+from crkr.protocol.errors import Invalid, shown
 
 __all__ = [
     "ADMIN_VERBS",
@@ -32,7 +32,7 @@ __all__ = [
 PROTOCOL_VERSION: Final = 1
 ROOT: Final = f"crkr/@v{PROTOCOL_VERSION}"
 SERVER_VERBS: Final = ("info", "tasks", "create_task")
-TASK_VERBS: Final = ("predict", "report", "status", "model", "samples", "explain")
+TASK_VERBS: Final = ("predict", "report", "status", "spec", "model", "samples", "explain")
 ADMIN_VERBS: Final = ("recost", "remove", "refit", "configure", "archive")
 NAME: Final = re.compile(r"[a-z0-9][a-z0-9-]{0,62}")
 
@@ -45,7 +45,7 @@ def check_name(name: object, what: str = "task name") -> str:
     """
     if not isinstance(name, str) or NAME.fullmatch(name) is None:
         raise Invalid(
-            f"{what} must be 1 to 63 characters of a-z, 0-9 and '-', starting with a letter or digit; got {name!r}"
+            f"{what} must be 1 to 63 characters of a-z, 0-9 and '-', starting with a letter or digit; got {shown(name)}"
         )
     return name
 
@@ -113,4 +113,4 @@ def split_key(key: str) -> tuple[str, str, str]:
             return "task", task, verb
         case ["task", task, "admin", verb]:
             return "admin", task, verb
-    raise Invalid(f"key {key!r} is not one of protocol version {PROTOCOL_VERSION}")
+    raise Invalid(f"key {shown(key)} is not one of protocol version {PROTOCOL_VERSION}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from hashlib import blake2b
 from typing import Any, Final, final
@@ -11,15 +11,15 @@ from uuid import UUID
 
 import numpy as np
 
-from crkr.protocol.checks import choice, finite_array, flag, integer, number, required, text
-from crkr.protocol.codec import Array, frozen_from_wire, id_from_wire, pack
+from crkr.protocol.checks import ROUNDING, SINGLE_STEP, choice, cost_number, finite_array, flag, integer, required, text
+from crkr.protocol.codec import Array, frozen_from_wire, id_from_wire
 from crkr.protocol.errors import Invalid
-from crkr.protocol.task_spec import TaskSpec
+from crkr.protocol.info import MAX_INFO_BYTES, check_info, info_from_wire
+from crkr.protocol.specification.task_spec import TaskSpec
 
-__all__ = ["KINDS", "Trial"]
+__all__ = ["KINDS", "MAX_INFO_BYTES", "Trial"]
 
 KINDS: Final = ("trial", "demonstration", "evaluation", "failed")
-MAX_INFO_BYTES: Final = 16 * 1024
 
 
 @final
@@ -37,7 +37,7 @@ class Trial:
         outcome: (q,) measured numbers, NaN where not observed; None where none were given.
         worker: Who reported it.
         model_version: The model that proposed the goal.
-        info: Plain data for people and exports.
+        info: Plain data for people and exports, as `crkr.protocol.info` has it.
     """
 
     id: UUID
@@ -69,9 +69,43 @@ class Trial:
     ) -> Trial:
         """Checks a trial against its task.
 
+        A goal or cost that is outside its bounds by no more than rounding, as a trip through float32 does, becomes the
+        bound; so both forms of it are one trial.
+
         Raises:
-            Invalid: Wrong shapes, values that are not finite, a goal outside the bounds, a cost outside [0, 1].
+            Invalid: Wrong shapes, values that are not finite, a goal outside the bounds, a cost outside [0, 1], or
+                info that would not read back equal.
         """
+        return cls._checked(
+            spec,
+            id=id,
+            state=state,
+            goal=goal,
+            cost=cost,
+            success=success,
+            kind=kind,
+            outcome=outcome,
+            worker=worker,
+            model_version=model_version,
+            info=check_info(info),
+        )
+
+    @classmethod
+    def _checked(
+        cls,
+        spec: TaskSpec,
+        *,
+        id: object,  # noqa: A002 - the protocol's word
+        state: object,
+        goal: object,
+        cost: object,
+        success: object,
+        kind: object,
+        outcome: object,
+        worker: object,
+        model_version: object,
+        info: dict[str, Any],
+    ) -> Trial:
         checked_kind = choice(kind, "kind", KINDS)
         successful = flag(success, "success")
         if checked_kind == "failed" and successful:
@@ -85,22 +119,30 @@ class Trial:
             id=id_from_wire(id),
             state=finite_array(state, "state", (len(spec.state),)),
             goal=_goal(goal, spec),
-            cost=None if cost is None else number(cost, "cost", low=0.0, high=1.0) + 0.0,  # stores may lose -0.0
+            cost=None if cost is None else cost_number(cost, "cost"),
             success=successful,
             kind=checked_kind,
             outcome=_outcome(outcome, spec),
             worker=None if worker is None else text(worker, "worker", longest=128),
             model_version=None if model_version is None else integer(model_version, "model_version"),
-            info=_info(info),
+            info=info,
         )
 
     @classmethod
-    def from_wire(cls, message: object, spec: TaskSpec) -> Trial:
-        """Reads one entry of a report; raises `Invalid`."""
+    def from_wire(
+        cls, message: object, spec: TaskSpec, read_info: Callable[[object], dict[str, Any]] = info_from_wire
+    ) -> Trial:
+        """Reads one entry of a report; raises `Invalid`.
+
+        Args:
+            message: The entry.
+            spec: The task.
+            read_info: Reads its `info`; other than the default for what was stored before the rules were.
+        """
         if not isinstance(message, Mapping):
             raise Invalid(f"a trial is a map; got {type(message).__name__}")
         outcome = message.get("outcome")
-        return cls.create(
+        return cls._checked(
             spec,
             id=id_from_wire(required(message, "id")),
             state=frozen_from_wire(required(message, "state"), "state"),
@@ -111,7 +153,7 @@ class Trial:
             outcome=None if outcome is None else frozen_from_wire(outcome, "outcome"),
             worker=message.get("worker"),
             model_version=message.get("model_version"),
-            info=message.get("info"),
+            info=read_info(message.get("info")),
         )
 
     def to_wire(self) -> dict[str, Any]:
@@ -144,12 +186,20 @@ class Trial:
 
 def _goal(value: object, spec: TaskSpec) -> Array:
     goal = finite_array(value, "goal", (len(spec.goal),))
-    for axis, given in zip(spec.goal, goal.tolist(), strict=True):
+    rounded: dict[int, float] = {}
+    for place, (axis, given) in enumerate(zip(spec.goal, goal.tolist(), strict=True)):
         if not axis.low <= given <= axis.high:
-            raise Invalid(
-                f"goal {axis.name!r} must be in [{axis.low}, {axis.high}] {axis.unit}; got {given}",
-                details={"field": "goal", "name": axis.name},
-            )
+            bound = axis.low if given < axis.low else axis.high
+            if abs(given - bound) > max(ROUNDING * axis.high - ROUNDING * axis.low, SINGLE_STEP * abs(bound)):
+                raise Invalid(
+                    f"goal {axis.name!r} must be in [{axis.low}, {axis.high}] {axis.unit}; got {given}",
+                    details={"field": "goal", "name": axis.name},
+                )
+            rounded[place] = bound
+    if rounded:
+        goal = goal.copy()
+        goal[list(rounded)] = list(rounded.values())
+        goal.setflags(write=False)
     return goal
 
 
@@ -160,14 +210,3 @@ def _outcome(value: object, spec: TaskSpec) -> Array | None:
     canonical = np.where(np.isnan(outcome), np.nan, outcome)  # one bit pattern for "not observed"
     canonical.setflags(write=False)
     return canonical
-
-
-def _info(value: object) -> dict[str, Any]:
-    if value is None:
-        return {}
-    if not isinstance(value, Mapping) or not all(isinstance(key, str) for key in value):
-        raise Invalid(f"info must be a map with text keys; got {type(value).__name__}")
-    size = len(pack(value))
-    if size > MAX_INFO_BYTES:
-        raise Invalid(f"info has {size} bytes; the limit is {MAX_INFO_BYTES}")
-    return dict(value)

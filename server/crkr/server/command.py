@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 import typer
 
 if TYPE_CHECKING:
-    from crkr.server.metrics_endpoint import MetricsEndpoint
+    from crkr.server.metrics.endpoint import MetricsEndpoint
     from crkr.server.stderr_log import StderrLog
 
 __all__ = ["server"]
@@ -43,10 +43,13 @@ def server(
     log_level: Annotated[str, typer.Option(envvar="CRKR_LOG_LEVEL", help="debug, info, warning or error.")] = "info",
 ) -> None:
     """Run the policy service: `crkr server --listen tcp/127.0.0.1:7447 --data crkr-data --metrics 9464`."""
+    from crkr.protocol import printable
     from crkr.server.server import Server, ServerSettings
     from crkr.server.session import endpoints
+    from crkr.server.thread_faults import FAULTS
 
     log = _log_to_stderr(log_level)
+    FAULTS.watch()
     _be_quick()
     told_to_stop, serving = _stop_signal(), threading.Event()
     threading.Thread(target=_leave_before, args=(told_to_stop, serving, log), name="early end", daemon=True).start()
@@ -59,7 +62,7 @@ def server(
         if endpoint is not None:
             endpoint.show(running.vitals)
             told += f", metrics at http://{endpoint.address}/metrics"
-        log.add(f"crkr server {version('crkr')} {told}")
+        log.add(printable(f"crkr server {version('crkr')} {told}"))
         serving.set()
         told_to_stop.recv(1)
         watchdog = threading.Timer(_EXIT_PATIENCE_S, os._exit, (0,))
@@ -71,7 +74,7 @@ def server(
 
 
 def _metrics_endpoint(given: str) -> MetricsEndpoint:
-    from crkr.server.metrics_endpoint import MetricsEndpoint
+    from crkr.server.metrics.endpoint import MetricsEndpoint
 
     host, _, port = given.rpartition(":")
     if not port.isascii() or not port.isdigit() or int(port) > _LAST_PORT:
@@ -82,14 +85,15 @@ def _metrics_endpoint(given: str) -> MetricsEndpoint:
 
 
 def _stop_signal() -> socket.socket:
-    """A socket that gets a byte at SIGTERM or Ctrl-C.
+    """A socket that gets a byte at SIGTERM, Ctrl-C or the terminal's hang-up; `nohup`, which ignores that one, holds.
 
     An event set by a handler would not do: the handler runs on the main thread, and where that thread is just then
     inside `wait`, it would wait for a lock of its own.
     """
     reader, writer = socket.socketpair()
     writer.setblocking(False)
-    for number in (signal.SIGTERM, signal.SIGINT):
+    hang_up = () if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN else (signal.SIGHUP,)
+    for number in (signal.SIGTERM, signal.SIGINT, *hang_up):
         signal.signal(number, lambda *_: None)
     signal.set_wakeup_fd(writer.detach(), warn_on_full_buffer=False)
     return reader

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
@@ -21,13 +22,14 @@ def replay(
     """Check that a data directory's log is whole and that log and model agree: `crkr replay crkr-data`."""
     from rich.console import Console
 
-    from crkr.protocol import StorageError
+    from crkr.protocol import StorageError, printable
+    from crkr.server.inspection.verification import verify
     from crkr.server.log import SqliteReader
+    from crkr.server.log.acknowledged_count import lost_end, read_tally
     from crkr.server.log.schema import FILE_NAME
-    from crkr.server.log.tally import lost_end, read_tally
-    from crkr.server.replaying import verify
 
-    errors = Console(stderr=True, soft_wrap=True)
+    watched = sys.stderr.isatty()
+    errors = Console(stderr=True, soft_wrap=True, markup=False, highlight=False, emoji=False, quiet=not watched)
     acknowledged = read_tally(data)  # before the log, which a server may add to meanwhile
     reader = SqliteReader(data / FILE_NAME)
     try:
@@ -39,23 +41,24 @@ def replay(
             for name in reader.tasks():
                 last = reader.last(name)
                 verdicts.append(
-                    verify(reader, name, lambda at, n=name, of=last: status.update(f"{n}: {at} of {of}"))  # type: ignore[misc]  # the defaults bind the loop's values
+                    verify(reader, name, lambda at, n=name, of=last: status.update(f"{printable(n)}: {at} of {of}"))  # type: ignore[misc]  # the defaults bind the loop's values
                 )
     finally:
         reader.close()
     problems = [*damage, *(f"{verdict.task}: {problem}" for verdict in verdicts for problem in verdict.problems)]
     if as_json:
-        typer.echo(json.dumps({"agree": not problems, "problems": problems, "tasks": [asdict(v) for v in verdicts]}))
+        found = {"agree": not problems, "problems": problems, "tasks": [asdict(verdict) for verdict in verdicts]}
+        typer.echo(json.dumps(found).replace("\x7f", "\\u007f"))
     else:
         for verdict in verdicts:
             typer.echo(
-                f"{verdict.task}: {verdict.entries} log positions, {verdict.samples} samples, {verdict.active} active, "
-                f"predictions agree to {verdict.largest_difference:.1e}"
+                f"{printable(verdict.task)}: {verdict.entries} log positions, {verdict.samples} samples, "
+                f"{verdict.active} active, predictions agree to {verdict.largest_difference:.1e}"
             )
     if problems:
         raise StorageError(f"{data} does not agree with itself: {'; '.join(problems)}")
     if not as_json:
-        typer.echo(f"{data}: log and model agree, {len(verdicts)} tasks")
+        typer.echo(f"{printable(str(data))}: log and model agree, {len(verdicts)} tasks")
 
 
 def backup(
@@ -66,6 +69,7 @@ def backup(
 
     To restore, put the file into an empty directory under the name crkr.sqlite3.
     """
+    from crkr.protocol import printable
     from crkr.server.log import SqliteReader
     from crkr.server.log.schema import FILE_NAME
 
@@ -74,4 +78,4 @@ def backup(
         reader.backup(target)
     finally:
         reader.close()
-    typer.echo(f"{target}: {target.stat().st_size} bytes")
+    typer.echo(f"{printable(str(target))}: {target.stat().st_size} bytes")

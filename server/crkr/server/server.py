@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,31 +16,35 @@ import zenoh
 from crkr.learner import Model
 from crkr.protocol import StorageError, live_server_key, rpc_key, task_key
 from crkr.protocol.keys import admin_key
-from crkr.server.durations import Durations
-from crkr.server.fitting import DueFit, Fitting
-from crkr.server.intake import Intake
-from crkr.server.lane import Lane
-from crkr.server.latency import Latencies
-from crkr.server.learning import Learning
+from crkr.server.inspection.seal_check import SealCheck
+from crkr.server.learning.fit import DueFit, Fitting
+from crkr.server.learning.notices import Notices
+from crkr.server.learning.radii_cache import RadiiKeeper
+from crkr.server.learning.restore import FEW, restore_all
+from crkr.server.learning.tasks import ServedTask, Tasks
+from crkr.server.learning.thread import Learning
 from crkr.server.log import SqliteLog
-from crkr.server.notices import Notices
-from crkr.server.predicting import Predictor
-from crkr.server.radii_cache import RadiiKeeper
-from crkr.server.reading import Reader
-from crkr.server.refusing import Refuser
-from crkr.server.restoring import FEW, restore_all
-from crkr.server.seal_check import SealCheck
-from crkr.server.session import DEFAULT_LISTEN, open_session
-from crkr.server.tasks import ServedTask, Tasks
-from crkr.server.vitals import Vitals
+from crkr.server.metrics.durations import Durations
+from crkr.server.metrics.latency import Latencies
+from crkr.server.metrics.vitals import Vitals
+from crkr.server.queries.intake import Intake
+from crkr.server.queries.queue import Lane
+from crkr.server.queries.refusals import Refuser
+from crkr.server.session import DEFAULT_LISTEN, endpoints, open_session
+from crkr.server.session_renewal import SessionRenewal, cut_connections
+from crkr.server.thread_faults import FAULTS
+from crkr.server.verbs.predict import Predictor
+from crkr.server.verbs.read import Reader
+from crkr.server.verbs.report import MOST_REPORTS, Writer
 from crkr.server.workers import Workers
-from crkr.server.writing import MOST_REPORTS, Writer
 
 __all__ = ["DEFAULT_LISTEN", "Server", "ServerSettings"]
 
 logger = logging.getLogger(__name__)
 
 _QUEUE: Final = 256
+# For a question about many states whose asker does not say how long it waits, as clients of version 0.1 do not.
+_PREDICT_PATIENCE_S: Final = 30.0
 _DRAIN_S: Final = 1.0  # for requests that were taken in before the order to stop
 
 
@@ -75,6 +80,7 @@ class Server:
 
     def __init__(self, settings: ServerSettings) -> None:
         self.tasks = Tasks()
+        self._settings = settings
         self._log = SqliteLog(settings.data)
         try:
             for task in restore_all(self._log.reads, self._log.path):
@@ -95,6 +101,7 @@ class Server:
             settings.data, self.tasks, self._latencies, self._workers, self._learning, commits, self._queues
         )
         long = {task.name: task.seq for task in self.tasks.all() if task.seq > FEW}  # others were read row by row
+        self._renewal = SessionRenewal(self._renew_session)
         self._seals = SealCheck(self._log.path, long, self._found_damage)
         self._start()
 
@@ -108,29 +115,35 @@ class Server:
         writer = Writer(self._log, self.tasks, self._workers, self._learning)
 
         def lane(
-            name: str, verbs: str, work: Any, most: int = 1, limit: int = _QUEUE, rests: bool = False
+            name: str, verbs: str, work: Any, most: int = 1, limit: int = _QUEUE, **how: Any
         ) -> dict[str, Lane[Any]]:
-            made: Lane[Any] = Lane(name, dict.fromkeys(verbs.split(), limit), work, most, rests=rests)
+            made: Lane[Any] = Lane(name, dict.fromkeys(verbs.split(), limit), work, most, **how)
             self._lanes.append(made)
             return dict.fromkeys(verbs.split(), made)
 
+        # What writes keeps its order, and is stored even where its asker gave up: a late report is data like any other.
         write = lane("write", "report create_task recost remove configure archive", writer.work, MOST_REPORTS, 4096)
-        brief = lane("brief", "info tasks status model", reader.work)
-        samples = lane("samples", "samples", reader.work, rests=True)
-        explain = lane("explain", "explain", reader.work, rests=True)
-        bulk = lane("bulk predict", "predict", predictor.answer)
+        fair: dict[str, Any] = {"fair": True, "patience_s": math.inf}
+        brief = lane("brief", "info status spec model", reader.work, **fair)
+        lists = lane("lists", "tasks", reader.work, rests=True, **fair)
+        samples = lane("samples", "samples", reader.work, rests=True, **fair)
+        explain = lane("explain", "explain", reader.work, rests=True, **fair)
+        bulk = lane("bulk predict", "predict", predictor.work, fair=True, patience_s=_PREDICT_PATIENCE_S, joins=True)
         self._fitting = Fitting(self.tasks, self._learning, writer)
-        refit = lane("refit", "refit", self._fitting.work, limit=16)
+        refit = lane("refit", "refit", self._fitting.work, limit=16, **fair)
         self._refit_lane = refit["refit"]
-        routes = {**write, **refit, **brief, **samples, **explain, **bulk}
+        routes = {**write, **refit, **brief, **lists, **samples, **explain, **bulk}
 
-        def intake(key: str, verbs: str, predict: Any = None) -> None:
+        def intake(key: str, verbs: str, predict: Any = None, check_task: Any = None) -> None:
             served = {verb: routes[verb] for verb in verbs.split()}
-            self._intakes.append(Intake(self._session, key, served, self._latencies, self._refuser, predict))
+            self._intakes.append(
+                Intake(self._session, key, served, self._latencies, self._refuser, predict, check_task)
+            )
 
-        intake(task_key("*", "*"), "predict report status model samples explain", predictor.answer)
+        verbs = "predict report status spec model samples explain"
+        intake(task_key("*", "*"), verbs, predictor.answer, self.tasks.look)
         intake(rpc_key("*"), "info tasks create_task")
-        intake(admin_key("*", "*"), "refit recost remove configure archive")
+        intake(admin_key("*", "*"), "refit recost remove configure archive", None, self.tasks.look)
         self._token_key = live_server_key(str(server_id))
         return writer.commits
 
@@ -145,6 +158,23 @@ class Server:
         # The last: whoever sees it can ask at once.
         self._token: zenoh.LivelinessToken = self._session.liveliness().declare_token(self._token_key)
         self._seals.start()
+        self._renewal.start()
+        FAULTS.heed_panics(self._renewal.heed)
+
+    def _renew_session(self) -> None:
+        """Closes the session and opens another, to which clients connect by themselves."""
+        logger.error("Zenoh panics again and again: its session is opened anew, and clients connect again")
+        try:
+            self._session.close()  # type: ignore[no-untyped-call]  # zenoh's stub lacks the type
+        except BaseException as error:  # as it will, if it is broken; the port is free all the same
+            logger.debug("the broken session did not close cleanly: %r", error)
+        cut_connections(endpoints(self._settings.listen, self._settings.zenoh_config))
+        self._session = open_session(self._settings.listen, self._settings.zenoh_config)
+        self._notices.move(self._session)
+        for intake in self._intakes:
+            intake.move(self._session)
+        self._workers.watch(self._session)
+        self._token = self._session.liveliness().declare_token(self._token_key)
 
     def _fit_when_due(self, task: ServedTask) -> None:
         """Called by learning after every step until the fit begins."""
@@ -161,7 +191,7 @@ class Server:
         self._radii.step(task)
 
     def _found_damage(self, task: str, damage: str) -> None:
-        self.tasks.get(task).damage = damage
+        self.tasks.look(task).damage = damage
 
     def _queues(self) -> dict[str, Any]:
         return {verb: depth for lane in self._lanes for verb, depth in lane.depths().items()}
@@ -169,6 +199,8 @@ class Server:
     def close(self) -> None:
         """Answers what was taken in, commits it, and leaves; what comes meanwhile is told so."""
         deadline = time.monotonic() + _DRAIN_S
+        FAULTS.heed_panics(None)
+        self._renewal.stop(_DRAIN_S)
         try:
             self._token.undeclare()  # type: ignore[no-untyped-call]  # zenoh's stub lacks the type
         except zenoh.ZError as error:

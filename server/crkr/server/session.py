@@ -34,7 +34,10 @@ _DEFAULTS: Final[dict[str, Any]] = {
     # Connections that never speak the protocol must not keep others from connecting [ms, count].
     "transport/unicast/accept_timeout": 2000,
     "transport/unicast/accept_pending": 1000,
-    "transport/link/rx/max_message_size": 4 * MAX_MESSAGE_BYTES,  # up to here it is refused by a typed error
+    # A message whose last fragment never comes is kept as long as its connection, one for each of seven priorities.
+    # Beyond a message of the protocol with its key there is nothing to wait for [bytes, count].
+    "transport/link/rx/max_message_size": MAX_MESSAGE_BYTES + 2**18,
+    "transport/unicast/max_sessions": 512,
     "listen/endpoints": [DEFAULT_LISTEN],  # Zenoh's router would listen on every interface
 }
 

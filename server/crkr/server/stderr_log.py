@@ -13,6 +13,9 @@ import threading
 from collections.abc import Callable
 from typing import Final, final
 
+from crkr.protocol import LogFormatter
+from crkr.server.thread_faults import keep_running
+
 __all__ = ["StderrLog"]
 
 _FORMAT: Final = "%(asctime)s %(levelname)s %(name)s: %(message)s"
@@ -30,8 +33,10 @@ class StderrLog:
     def __init__(self, level: int) -> None:
         self._waiting: queue.Queue[str | threading.Event] = queue.Queue(_MOST)
         self._lost = 0
-        logging.basicConfig(level=level, format=_FORMAT, handlers=[_Handler(self.add)])
-        threading.Thread(target=self._run, name="log", daemon=True).start()
+        handler = _Handler(self.add)
+        handler.setFormatter(LogFormatter(_FORMAT))
+        logging.basicConfig(level=level, handlers=[handler])
+        threading.Thread(target=keep_running, args=(self._step,), name="log", daemon=True).start()
 
     def add(self, item: str | threading.Event) -> None:
         """Writes a line before long, or loses it; an event is set when all before it is written."""
@@ -46,22 +51,22 @@ class StderrLog:
         self.add(written)
         written.wait(patience_s)
 
-    def _run(self) -> None:
-        while True:
-            item = self._waiting.get()
-            if self._lost:
-                lost, self._lost = self._lost, 0
-                self._write(f"({lost} lines of the log were not written: nobody read them)")
-            if isinstance(item, threading.Event):
-                item.set()
-            else:
-                self._write(item)
+    def _step(self) -> bool:
+        item = self._waiting.get()
+        if self._lost:
+            lost, self._lost = self._lost, 0
+            self._write(f"({lost} lines of the log were not written: nobody read them)")
+        if isinstance(item, threading.Event):
+            item.set()
+        else:
+            self._write(item)
+        return True
 
     def _write(self, line: str) -> None:
         try:
             sys.stderr.write(f"{line}\n")
             sys.stderr.flush()
-        except OSError:  # nobody is there to read it
+        except (OSError, ValueError):  # nobody is there to read it, or it is closed
             self._lost = 0
 
 

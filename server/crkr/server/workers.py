@@ -6,7 +6,9 @@ import logging
 import threading
 import time
 from collections import Counter, OrderedDict
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from functools import partial
+from itertools import chain
 from operator import itemgetter
 from typing import Any, Final, final
 
@@ -14,14 +16,23 @@ import zenoh
 
 from crkr.protocol import live_worker_key
 from crkr.protocol.keys import left_worker_key
+from crkr.server.thread_faults import keep_running
 
 __all__ = ["STATES", "Workers"]
 
 logger = logging.getLogger(__name__)
 
 STATES: Final = ("alive", "left", "lost", "unannounced")
-_MOST_WORKERS: Final = 4096  # the longest unseen is forgotten first
+# Names of workers, by how they are known; of each kind the longest unseen is forgotten first. A client that asks under
+# made-up names makes the server forget such names, and not the workers that stand by their tokens.
+_MOST_ALIVE: Final = 16_384
+_MOST_ANNOUNCED: Final = 4096  # that are not alive
+_MOST_UNANNOUNCED: Final = 1024
 _MOST_OPEN: Final = 4096  # trials a worker, the oldest is forgotten first
+_LONGEST_ID: Final = 128  # characters; status lists ids
+_MOST_OPEN_IN_ALL: Final = 65_536  # then those of the worker that has most; the names without a token give first
+_FEW: Final = 64  # open trials, as an honest worker may have
+_LONGEST_KEY: Final = 512  # of a token
 _FIFO: Final = 65536
 # One subscription to both kinds of token, so that a worker's leaving comes before the end of its own.
 _TOKENS: Final = live_worker_key("*", "*").replace("/worker/", "/*/")
@@ -30,12 +41,19 @@ _WORKER, _LEFT = (key("*", "*").split("/")[-2] for key in (live_worker_key, left
 
 @final
 class _Worker:
-    __slots__ = ("alive", "announced", "last_seen", "left", "open", "seen")
+    __slots__ = ("alive", "announced", "last_seen", "left", "most", "open", "seen")
 
     def __init__(self) -> None:
         self.alive = self.announced = self.left = False
         self.open: OrderedDict[bytes, float] = OrderedDict()  # trial -> when it was asked for, the oldest first
+        self.most = 0  # open trials at a time since the table of them was made
         self.see()
+
+    def shrink(self) -> None:
+        """Makes the table of open trials anew once it is far too large: taking entries out does not make it smaller."""
+        if self.most > _FEW and len(self.open) < self.most // 4:
+            self.open = OrderedDict(self.open)
+            self.most = len(self.open)
 
     def see(self) -> None:
         """Notes that it gave a sign just now: the time of day to be told, the monotonic one to be compared."""
@@ -48,19 +66,39 @@ class _Worker:
         return "left" if self.left else "lost" if self.announced else "unannounced"
 
 
+def _opened(entry: _Worker) -> int:
+    return len(entry.open)
+
+
+_Names = OrderedDict[tuple[str, str], _Worker]
+
+
 @final
 class Workers:
     """Workers of all tasks, known by their tokens or by the name they ask and report under."""
 
     def __init__(self) -> None:
-        self._known: OrderedDict[tuple[str, str], _Worker] = OrderedDict()
+        # By whether they ever had a token and whether they have one now; the longest unseen first.
+        self._alive: _Names = OrderedDict()
+        self._gone: _Names = OrderedDict()
+        self._unannounced: _Names = OrderedDict()
+        self._open = 0
         self._lock = threading.Lock()
         self._thread: threading.Thread | None = None
 
     def watch(self, session: zenoh.Session) -> None:
-        """Follows the tokens from now on, those that stand already too; ends with the session."""
+        """Follows the tokens from now on, those that stand already too; ends with the session.
+
+        Where another session was followed before, its workers are lost until their tokens stand in this one.
+        """
+        with self._lock:
+            for name, entry in list(self._alive.items()):
+                entry.alive = False
+                self._sort_in(name, entry)
         tokens = session.liveliness().declare_subscriber(_TOKENS, zenoh.handlers.FifoChannel(_FIFO), history=True)
-        self._thread = threading.Thread(target=self._follow, args=(tokens,), name="liveliness", daemon=True)
+        self._thread = threading.Thread(
+            target=keep_running, args=(partial(self._follow, tokens),), name="liveliness", daemon=True
+        )
         self._thread.start()
 
     def join(self, patience_s: float) -> None:
@@ -73,11 +111,16 @@ class Workers:
         with self._lock:
             entry = self._entry(task, worker)
             entry.see()
+            before = len(entry.open)
             for trial in trials:
                 entry.open[trial] = entry.seen
                 entry.open.move_to_end(trial)
+            entry.most = max(entry.most, len(entry.open))
             while len(entry.open) > _MOST_OPEN:
                 entry.open.popitem(last=False)
+            self._open += len(entry.open) - before
+            if self._open > _MOST_OPEN_IN_ALL:
+                self._forget_oldest()
 
     def reported(self, task: str, worker: str, trials: Iterable[bytes]) -> None:
         """A worker reported trials; a late report is as good as any."""
@@ -85,7 +128,8 @@ class Workers:
             entry = self._entry(task, worker)
             entry.see()
             for trial in trials:
-                entry.open.pop(trial, None)
+                self._open -= entry.open.pop(trial, None) is not None
+            entry.shrink()
 
     def status(self, task: str) -> list[dict[str, Any]]:
         """The task's workers as `status` lists them."""
@@ -100,7 +144,7 @@ class Workers:
                     "last_seen": entry.last_seen,
                     "last_seen_s": now - entry.seen,
                 }
-                for (owner, worker), entry in self._known.items()
+                for (owner, worker), entry in self._all()
                 if owner == task
             ]
         return sorted(found, key=itemgetter("id"))
@@ -108,7 +152,7 @@ class Workers:
     def totals(self) -> dict[str, tuple[Counter[str], int]]:
         """Task -> its workers by state, and how many trials they have open."""
         with self._lock:
-            known = [(task, entry.state, len(entry.open)) for (task, _), entry in self._known.items()]
+            known = [(task, entry.state, len(entry.open)) for (task, _), entry in self._all()]
         found: dict[str, tuple[Counter[str], int]] = {}
         for task, state, count in known:
             states, opened = found.get(task, (Counter[str](), 0))
@@ -116,33 +160,64 @@ class Workers:
             found[task] = states, opened + count
         return found
 
+    def _all(self) -> Iterator[tuple[tuple[str, str], _Worker]]:
+        return chain(self._alive.items(), self._gone.items(), self._unannounced.items())
+
     def _entry(self, task: str, worker: str) -> _Worker:
-        entry = self._known.setdefault((task, worker), _Worker())
-        self._known.move_to_end((task, worker))
-        while len(self._known) > _MOST_WORKERS:
-            self._known.popitem(last=False)
+        """The worker of that name, now the one that was seen last."""
+        name = task, worker
+        for names in (self._alive, self._gone, self._unannounced):
+            if name in names:
+                names.move_to_end(name)
+                return names[name]
+        entry = self._unannounced[name] = _Worker()
+        self._forget_names(self._unannounced, _MOST_UNANNOUNCED)
         return entry
 
-    def _follow(self, tokens: zenoh.Subscriber[zenoh.handlers.Handler[zenoh.Sample]]) -> None:
-        while True:
-            try:
-                sample = tokens.recv()
-            except zenoh.ZError:  # the session is closed
-                return
-            match str(sample.key_expr).split("/"):
-                case [_, _, _, task, _, what, worker]:
-                    pass
-                case _:  # a token on a wildcard, which is nobody's
-                    continue
-            stands = sample.kind == zenoh.SampleKind.PUT
-            if what == _LEFT:
-                self._leave(task, worker, stands)
-            elif what == _WORKER:
-                self._appear(task, worker, stands)
+    def _sort_in(self, name: tuple[str, str], entry: _Worker) -> None:
+        """Puts a worker whose token came or went among its kind."""
+        for names in (self._alive, self._gone, self._unannounced):
+            names.pop(name, None)
+        (self._alive if entry.alive else self._gone)[name] = entry
+        self._forget_names(self._alive, _MOST_ALIVE)
+        self._forget_names(self._gone, _MOST_ANNOUNCED)
+
+    def _forget_names(self, names: _Names, most: int) -> None:
+        while len(names) > most:
+            self._open -= len(names.popitem(last=False)[1].open)
+
+    def _forget_oldest(self) -> None:
+        """Halves what the worker with most open trials has, until there is room: honest ones have few."""
+        while self._open > _MOST_OPEN_IN_ALL:
+            most = max(self._unannounced.values(), key=_opened, default=None)
+            if most is None or len(most.open) < _FEW:
+                most = max((entry for _, entry in self._all()), key=_opened)
+            for _ in range((len(most.open) + 1) // 2):
+                most.open.popitem(last=False)
+                self._open -= 1
+            most.shrink()
+
+    def _follow(self, tokens: zenoh.Subscriber[zenoh.handlers.Handler[zenoh.Sample]]) -> bool:
+        try:
+            sample = tokens.recv()
+        except zenoh.ZError:  # the session is closed
+            return False
+        key = str(sample.key_expr)
+        if len(key) > _LONGEST_KEY:
+            return True
+        match key.split("/"):
+            case [_, _, _, task, _, what, worker] if len(worker) <= _LONGEST_ID:
+                stands = sample.kind == zenoh.SampleKind.PUT
+                if what == _LEFT:
+                    self._leave(task, worker, stands)
+                elif what == _WORKER:
+                    self._appear(task, worker, stands)
+        return True  # a token on a wildcard is nobody's
 
     def _leave(self, task: str, worker: str, stands: bool) -> None:
         with self._lock:
-            entry = self._known.get((task, worker))
+            name = task, worker
+            entry = self._alive.get(name) or self._gone.get(name) or self._unannounced.get(name)
             if entry is not None and stands:
                 entry.left = True
 
@@ -152,5 +227,6 @@ class Workers:
             entry.see()
             entry.alive, entry.announced = stands, True
             entry.left = entry.left and not stands
+            self._sort_in((task, worker), entry)
             state = entry.state
         logger.info("worker %s of task %s: %s", worker, task, state)

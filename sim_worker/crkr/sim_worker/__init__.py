@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from crkr.sim_worker.skill import Demonstration, Geom, Outcome, Skill, SkillFactory, SkillOptions, Trace
-from crkr.sim_worker.skills import installed_skills, load_skill
+from crkr.sim_worker.skill_registry import installed_skills, load_skill
 
 __all__ = [
     "Demonstration",

@@ -93,7 +93,10 @@ class Skill(Protocol):
         ...
 
     def execute(self, goal: Floats) -> Outcome:
-        """Tries a goal (p,) in the situation of the last `reset`; a bad goal gives its reason, no exception."""
+        """Tries a goal (p,) in the situation of the last `reset`; a bad goal gives its reason, no exception.
+
+        Workers take an exception, or a result that no trial can have, for a failed trial; ten in a row end them.
+        """
         ...
 
     def demonstrations(self, count: int, rng: np.random.Generator) -> Sequence[Demonstration]:

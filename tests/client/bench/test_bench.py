@@ -16,6 +16,7 @@ from crkr.client.bench.echo import KEY
 from crkr.client.bench.figures import Figure, p50, p99, show
 from crkr.client.bench.processes import echoing, loading, serving
 from crkr.client.bench.restart import restart_figures
+from crkr.client.bench.tasks import task_figures
 from crkr.client.bench.timing import in_turns
 from crkr.protocol import Internal, ReportRequest, Unavailable, unpack
 
@@ -152,3 +153,9 @@ def test_a_log_that_cannot_be_written_is_told(tmp_path: Path) -> None:
     (tmp_path / "few").write_text("a file where the folder should be")
     with pytest.raises(Unavailable, match="the log of 1000 trials was not written: its process ended with 1"):
         list(restart_figures(tmp_path, 10))
+
+
+def test_one_task_of_many_is_compared_with_one_alone(tmp_path: Path) -> None:
+    figures = list(task_figures(tmp_path, 20))
+    assert [len(one.behind) for one in figures] == [2, 2, 1]
+    assert all(number > 0 for one in figures for number in one.behind.values())

@@ -115,7 +115,7 @@ def test_columns_of_a_parquet_file_may_be_of_other_types_that_fit(tmp_path: Path
 
 
 @pytest.mark.parametrize(
-    ("column", "value", "complaint"), [("cost", [2.0], "row 1: cost"), ("cost", ["x"], "it cannot be read: .*'x'")]
+    ("column", "value", "complaint"), [("cost", [2.0], "row 1: cost"), ("cost", ["x"], "row 1, column 'cost': .*'x'")]
 )
 def test_a_bad_value_of_a_parquet_file_is_refused(
     tmp_path: Path, layout: Layout, column: str, value: list[Any], complaint: str
@@ -179,7 +179,7 @@ def arrays(**changes: Any) -> dict[str, Any]:
         ({"info": np.frombuffer(b"\n[1]\n", np.uint8)}, "row 2: info must be a JSON object"),
         ({"outcome_given": np.array([True])}, r"one row for each of the ids; got outcome_given \(1,\)"),
         ({"removed": np.array(["False", "False"])}, "row 1: removed must be true or false; got 'False'"),
-        ({"removed": np.array([False, np.nan])}, "row 1: removed must be true or false"),
+        ({"removed": np.array([False, np.nan])}, "row 2: removed must be true or false; got nan"),
         ({"kind": np.array([object(), "trial"])}, "it is not npz: .*allow_pickle"),
     ],
 )

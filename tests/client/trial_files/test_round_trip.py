@@ -13,7 +13,7 @@ import pytest
 from typer.testing import CliRunner
 
 from crkr.client import Client, Task
-from crkr.client.frame import build
+from crkr.client.cli.subcommands import build
 from crkr.protocol import StoredTrial, Trial
 
 Run = Callable[..., Any]

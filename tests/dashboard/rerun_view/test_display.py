@@ -6,10 +6,11 @@ from typing import Any
 import pytest
 from rerun.chunk import RrdReader
 
-from crkr.client.wilson import wilson_interval
+from crkr.client.tally import wilson_interval
 from crkr.dashboard import Feed
 from crkr.dashboard.poller import News
 from crkr.dashboard.rerun_view import Recording, RerunDisplay
+from crkr.dashboard.rerun_view.curves import MAX_PHASES
 from crkr.protocol import StoredTrial
 
 Make = Callable[..., StoredTrial]
@@ -147,3 +148,19 @@ def test_the_layout_is_sent_before_any_data(
     assert data <= set(paths[activated:])
     assert not data & set(paths[:activated])
     assert paths.count("BlueprintActivationCommand") == 1  # another would undo what a viewer's user has changed
+
+
+def test_durations_of_ever_new_names_are_other(
+    recording: Recording, file: Path, read: Read, stored: Make, message: Message
+) -> None:
+    display = RerunDisplay(recording, "crane")
+    feed = Feed(display)
+    feed.news(News(trials=tuple(stored(seq) for seq in range(1, 60))), 0.0)
+    for seq in range(1, 60):
+        feed.publication("trial", message(seq, timing={f"step {seq}": 1.0, f"wait {seq}": 2.0}))
+    feed.step(0.0)
+    display.finish(feed.progress)
+    assert recording.close(5.0)
+    names = [path for path in read(file) if path.startswith("/latency/worker_")]
+    assert len(names) == MAX_PHASES + 1
+    assert "/latency/worker_other" in names

@@ -10,7 +10,7 @@ from typing import Any
 from crkr.learner import Learner
 from crkr.learner.exploration.outcome_index import SEARCHED
 from crkr.protocol import TaskSpec
-from crkr.protocol.settings import MOST_TRIALS
+from crkr.protocol.specification.settings import MOST_TRIALS
 
 PAGE = (Path(__file__).parents[3] / "docs" / "outcomes.md").read_text()
 

@@ -6,7 +6,8 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
-from crkr.learner import Anms, radii, top
+from crkr.learner import Anms, radii, radii_kdtree, top
+from crkr.protocol import Array
 
 STREAMS = ("uniform", "lattice", "cluster", "drift", "falling cost")
 
@@ -149,3 +150,47 @@ def test_the_active_set_is_the_same_object_while_nothing_changes() -> None:
     assert anms.active is before
     with pytest.raises(ValueError, match="read-only"):
         before[0] = 1
+
+
+@pytest.mark.parametrize("alike", [True, False])
+def test_removing_and_recosting_many_at_once_is_the_same_as_one_by_one(alike: bool) -> None:
+    rng = np.random.default_rng(1)
+    Z: Array = np.zeros((300, 2)) if alike else rng.integers(0, 5, (300, 2)) / 10
+    costs = rng.integers(0, 6, 300) / 6
+    together, in_turn = Anms(2, 20), Anms(2, 20)
+    changed, gone = rng.permutation(300)[:80], rng.permutation(300)[:90]
+    for anms in (together, in_turn):
+        anms.extend(Z, costs)
+    new = rng.integers(0, 6, 80) / 6
+    together.recost(changed, new)
+    for index, cost in zip(changed.tolist(), new.tolist(), strict=True):
+        in_turn.recost(index, cost)
+    costs[changed] = new
+    r2, _ = radii(Z, costs)
+    np.testing.assert_array_equal(together.radii().squared, r2)
+    np.testing.assert_array_equal(together.active, in_turn.active)
+    together.remove(gone)
+    for index in gone.tolist():
+        in_turn.remove(index)
+    left = np.delete(np.arange(300), gone)
+    r2, _ = radii(Z[left], costs[left])
+    for anms in (together, in_turn):
+        np.testing.assert_array_equal(anms.radii().squared, r2)
+        np.testing.assert_array_equal(anms.active, left[top(r2, 20)])
+
+
+def test_a_sample_that_suppresses_thousands_is_removed_and_made_worse_exactly() -> None:
+    rng = np.random.default_rng(2)
+    Z, costs = np.full((14_000, 3), 0.5), np.full(14_000, 0.5)  # a robot that starts from one state each time
+    Z[13_000:] += rng.uniform(size=(1000, 3))
+    anms = Anms(3, 50)
+    anms.extend(Z, costs)
+    anms.recost(0, 0.9)
+    costs[0] = 0.9
+    r2, _ = radii_kdtree(Z, costs)
+    np.testing.assert_array_equal(anms.radii().squared, r2)
+    anms.remove(np.array([1, 2, 3]))
+    left = np.delete(np.arange(14_000), [1, 2, 3])
+    r2, _ = radii_kdtree(Z[left], costs[left])
+    np.testing.assert_array_equal(anms.radii().squared, r2)
+    np.testing.assert_array_equal(anms.active, left[top(r2, 50)])

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -53,6 +55,21 @@ def test_tree_and_obvious_form_give_the_same_bits(seed: int, n: int, d: int, kin
     np.testing.assert_array_equal(tree_r2, r2)
     apart = r2 > 0
     np.testing.assert_array_equal(tree_suppressor[apart], suppressor[apart])
+
+
+@pytest.mark.parametrize("states", [2, 5])
+def test_states_that_come_again_and_again_take_no_memory_for_each_pair_of_them(states: int) -> None:
+    rng = np.random.default_rng(states)
+    which = rng.integers(0, states, 4000)
+    Z, costs = rng.uniform(size=(states, 2))[which], which / 8 + 0.01 * rng.uniform(size=4000)  # each state costs alike
+    tracemalloc.start()
+    r2, suppressor = radii_kdtree(Z, costs)
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert most < 8 * 4000 * 200
+    true_r2, true_suppressor = radii(Z, costs)
+    np.testing.assert_array_equal(r2, true_r2)
+    np.testing.assert_array_equal(suppressor[r2 > 0], true_suppressor[r2 > 0])
 
 
 @given(st.lists(st.integers(0, 5), min_size=1, max_size=30), st.integers(1, 35))

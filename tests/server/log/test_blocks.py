@@ -9,9 +9,9 @@ import pytest
 
 from crkr.learner import TrialColumns
 from crkr.protocol import KINDS, StorageError, TaskSpec, Trial
+from crkr.server.learning.radii_cache import save_radii
+from crkr.server.learning.restore import restore
 from crkr.server.log import Event, LoggedTrial, PendingReport, SqliteLog
-from crkr.server.radii_cache import save_radii
-from crkr.server.restoring import restore
 
 AXIS = {"name": "x", "unit": "m", "low": -1.0, "high": 1.0}
 SPEC = TaskSpec.from_dict(

@@ -13,8 +13,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from crkr.protocol import KINDS, Conflict, StorageError, TaskSpec, Trial, pack
+from crkr.server.learning.restore import restore, restore_all
 from crkr.server.log import Event, LoggedTrial, PendingReport, SqliteLog, SqliteReader, Stored
-from crkr.server.restoring import restore, restore_all
 
 AXIS = {"name": "x", "unit": "m", "low": -1.0, "high": 1.0}
 SPEC = TaskSpec.from_dict({"name": "reach", "state": [AXIS], "goal": [AXIS, {**AXIS, "name": "y"}]})

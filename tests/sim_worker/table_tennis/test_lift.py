@@ -7,11 +7,11 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from crkr.sim_worker.skill import SkillOptions
-from crkr.sim_worker.table_tennis.alone import BallAlone
-from crkr.sim_worker.table_tennis.ball import flight
-from crkr.sim_worker.table_tennis.incoming import FreeBall, Incoming
-from crkr.sim_worker.table_tennis.launchers import LAUNCHERS
-from crkr.sim_worker.table_tennis.play import Play
+from crkr.sim_worker.table_tennis.ball.flight import flight
+from crkr.sim_worker.table_tennis.ball.incoming import FreeBall, Incoming
+from crkr.sim_worker.table_tennis.ball.launchers import LAUNCHERS
+from crkr.sim_worker.table_tennis.environments.partial_scenes import BallAlone
+from crkr.sim_worker.table_tennis.environments.play import Play
 from crkr.sim_worker.table_tennis.table_tennis import TableTennis
 from crkr.sim_worker.table_tennis.tracker import judge
 

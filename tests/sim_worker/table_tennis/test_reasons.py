@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from crkr.sim_worker.skill import Outcome, SkillOptions
-from crkr.sim_worker.table_tennis.arm import Arm
-from crkr.sim_worker.table_tennis.constants import FACE_OFFSET, TABLE_HALF_LENGTH, TABLE_HEIGHT
-from crkr.sim_worker.table_tennis.environments import ENVIRONMENTS, make_predictor
+from crkr.sim_worker.table_tennis.arm.dynamics import Arm
+from crkr.sim_worker.table_tennis.ball.constants import FACE_OFFSET, TABLE_HALF_LENGTH, TABLE_HEIGHT
+from crkr.sim_worker.table_tennis.environments.environments import ENVIRONMENTS, make_predictor
 from crkr.sim_worker.table_tennis.planner import POSTURE
 from crkr.sim_worker.table_tennis.table_tennis import TableTennis
 

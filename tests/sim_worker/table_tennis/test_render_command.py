@@ -104,6 +104,17 @@ def test_a_picture_cannot_be_slow(start_command: Any, tmp_path: Path) -> None:
     assert not (tmp_path / "a.png").exists()
 
 
+def test_a_picture_that_is_there_is_replaced_only_where_that_was_asked_for(start_command: Any, tmp_path: Path) -> None:
+    picture = tmp_path / "a.png"
+    picture.write_text("of an earlier run")
+    words = ("render", "--environment", "analytic", str(picture))
+    status, _, log = start_command(*words).finish()
+    assert (status, log) == (1, f"error: {picture} exists; choose another file, or --overwrite\n")
+    assert picture.read_text() == "of an earlier run"
+    assert start_command(*words, "--overwrite").finish()[0] == 0
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
 def test_another_skill_cannot_be_drawn(start_command: Any, tmp_path: Path) -> None:
     status, _, log = start_command("render", "--skill", "reaching:make", str(tmp_path / "a.png")).finish()
     assert (status, "draws table tennis" in log) == (1, True), log
@@ -119,7 +130,7 @@ def test_without_the_library_for_films_one_line_says_what_to_install(tmp_path: P
         "            raise ModuleNotFoundError(f'No module named {name!r}', name=name)\n"
         "sys.meta_path.insert(0, Absent())\n"
         "sys.argv = ['crkr', 'render', 'trial.mp4']\n"
-        "from crkr.client.main import main\n"
+        "from crkr.client.cli.main import main\n"
         "main()\n"
     )
     done = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, check=False)

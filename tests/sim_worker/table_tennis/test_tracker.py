@@ -5,10 +5,10 @@ import re
 import numpy as np
 import pytest
 
-from crkr.sim_worker.table_tennis.arm import Paddle
-from crkr.sim_worker.table_tennis.ball import Ball, flight, fly_to_height
-from crkr.sim_worker.table_tennis.constants import FACE_OFFSET
-from crkr.sim_worker.table_tennis.play import Play
+from crkr.sim_worker.table_tennis.arm.dynamics import Paddle
+from crkr.sim_worker.table_tennis.ball.constants import FACE_OFFSET
+from crkr.sim_worker.table_tennis.ball.flight import Ball, flight, fly_to_height
+from crkr.sim_worker.table_tennis.environments.play import Play
 from crkr.sim_worker.table_tennis.spec import COST
 from crkr.sim_worker.table_tennis.tracker import cost_of, judge
 

@@ -10,7 +10,7 @@ from typing import Any, Final, Self, final
 
 import zenoh
 
-from crkr.client.config import Connection
+from crkr.client.network.config import Connection
 from crkr.protocol import Internal
 
 __all__ = ["Bare", "outcome"]

@@ -8,7 +8,7 @@ from typing import final
 
 import numpy as np
 
-from crkr.client.console import print_json, print_table
+from crkr.client.cli.console import print_json, print_table
 from crkr.protocol import Array
 
 __all__ = ["Figure", "p50", "p99", "show"]

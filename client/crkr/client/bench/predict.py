@@ -19,8 +19,8 @@ from crkr.client.bench.figures import Figure, p50, p99, show
 from crkr.client.bench.processes import Load, echoing, loading, serving
 from crkr.client.bench.restart import restart_figures
 from crkr.client.bench.timing import in_turns, spell
+from crkr.client.cli.options import Json
 from crkr.client.client import Client
-from crkr.client.options import Json
 from crkr.client.task import Task
 from crkr.protocol import Array
 

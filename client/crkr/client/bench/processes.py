@@ -13,8 +13,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Final, final
 
+from crkr.client.cli.error_lines import require
 from crkr.client.client import Client
-from crkr.client.guard import require
 from crkr.protocol import Unavailable
 
 __all__ = ["Load", "echoing", "loading", "serving"]
@@ -143,7 +143,12 @@ def loading(endpoint: str, key: str, kind: str, width: int, seed: int) -> Iterat
 def _child(module: str, *arguments: str) -> Iterator[subprocess.Popen[str]]:
     command = [sys.executable, "-m", module, *arguments]
     with subprocess.Popen(
-        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env={**os.environ, **_ONE_THREAD}
+        command,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**os.environ, **_ONE_THREAD},
+        encoding="utf-8",
     ) as process:
         try:
             if _line(process.stdout) != "ready\n":

@@ -18,7 +18,7 @@ from crkr.client.bench.echo import KEY
 from crkr.client.bench.figures import Figure, p50, show
 from crkr.client.bench.processes import echoing, serving
 from crkr.client.bench.timing import in_turns
-from crkr.client.options import Json
+from crkr.client.cli.options import Json
 from crkr.client.task import Task
 
 __all__ = ["report"]

@@ -30,8 +30,10 @@ def restart_figures(directory: Path, samples: int) -> Iterator[Figure]:
     """
     few, many = directory / "few", directory / "many"
     for data, count in ((few, _FEW), (many, samples)):
-        command = [sys.executable, "-m", "crkr.server.filling", str(data), str(count)]
-        done = subprocess.run(command, check=False, input=json.dumps(workload.bench_spec().to_dict()), text=True)
+        command = [sys.executable, "-m", "crkr.server.inspection.synthetic_log", str(data), str(count)]
+        done = subprocess.run(
+            command, check=False, input=json.dumps(workload.bench_spec().to_dict()), text=True, encoding="utf-8"
+        )
         if done.returncode:
             raise Unavailable(f"the log of {count} trials was not written: its process ended with {done.returncode}")
         with serving(data):

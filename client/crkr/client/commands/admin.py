@@ -10,9 +10,9 @@ from typing import Annotated, Any
 import typer
 
 from crkr.client import Client
-from crkr.client.commands.vectors import parse_ids
-from crkr.client.console import json_data, print_json, stderr, stdout, tidy
-from crkr.client.options import Connect, Json, Timeout, ZenohConfig
+from crkr.client.cli.console import json_data, print_json, stderr, stdout, tidy
+from crkr.client.cli.options import Connect, Json, Timeout, ZenohConfig
+from crkr.client.cli.vectors import parse_ids
 from crkr.protocol import Invalid
 
 __all__ = ["archive", "configure", "recost", "refit", "remove"]

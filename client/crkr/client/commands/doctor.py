@@ -16,11 +16,14 @@ from typing import Annotated, Any
 import typer
 
 from crkr.client import Client
-from crkr.client.allowed import allowed
-from crkr.client.config import Connection
-from crkr.client.console import print_json, print_table
-from crkr.client.handshake import certificate_end, refusal
-from crkr.client.options import Connect, Json, Timeout, ZenohConfig
+from crkr.client.cli.console import print_json, print_table
+from crkr.client.cli.options import Connect, Json, Timeout, ZenohConfig
+from crkr.client.commands.status import ended_threads, named_tasks, thread_faults
+from crkr.client.network.access_rights import allowed, others
+from crkr.client.network.config import Connection
+from crkr.client.network.diagnosis import ANYBODY, NO_SERVER, obstacle
+from crkr.client.network.tls_handshake import certificate_end
+from crkr.client.outbox.outbox_file import OutboxFile
 from crkr.protocol import PROTOCOL_VERSION, CrkrError, Invalid, Unavailable
 
 __all__ = ["doctor"]
@@ -36,6 +39,9 @@ def doctor(
     data: Annotated[
         Path | None, typer.Option("--data", metavar="DIR", help="Also look at the disk under a data directory.")
     ] = None,
+    outbox: Annotated[
+        Path | None, typer.Option("--outbox", metavar="FILE", help="Also look into an outbox that no program has open.")
+    ] = None,
     connect: Connect = None,
     timeout: Timeout = 5.0,
     zenoh_config: ZenohConfig = None,
@@ -48,6 +54,8 @@ def doctor(
     checks = [_versions(), *_server(connect, timeout, zenoh_config)]
     if data is not None:
         checks += _disk(data)
+    if outbox is not None:
+        checks.append(_outbox(outbox))
     fine = all(passed for _, passed, _ in checks)
     if as_json:
         print_json({"ok": fine, "checks": [{"check": c, "ok": ok, "detail": text} for c, ok, text in checks]})
@@ -75,7 +83,7 @@ def _conversation(client: Client, zenoh_config: Path | None) -> list[_Check]:
     connection = Connection(client.endpoint, zenoh_config)
     try:
         info = client.info()
-        trips = [_seconds(client.info) for _ in range(_ROUND_TRIPS)]
+        trips = [_seconds(lambda: client._rpc.server_id(client._rpc.timeout_s)) for _ in range(_ROUND_TRIPS)]
     except CrkrError as error:
         return [("reachable", False, _trouble(error, connection))]
     return [
@@ -83,6 +91,7 @@ def _conversation(client: Client, zenoh_config: Path | None) -> list[_Check]:
         *_certificate(connection),
         *_answers(info, trips),
         *_access(client, info),
+        *_strangers(client, info),
     ]
 
 
@@ -91,16 +100,22 @@ def _trouble(error: CrkrError, connection: Connection) -> str:
     tried = error.details
     if not isinstance(error, Unavailable) or "reason" not in tried:
         return error.message
-    advice = "is a server running there? start one: crkr server"
-    if tried["reason"].startswith("connected"):
-        advice = "does the server's access control know this client, or is the server overloaded?"
-    elif found := refusal(connection.endpoint, connection.zenoh(_HANDSHAKE_S), _HANDSHAKE_S):
-        return f"no connection to {connection.endpoint}: {found}"
+    where, advice = f"no answer from {tried['endpoint']} in {tried['tried_s']:.1f} s ({tried['reason']})", ""
+    if tried["reason"] == ANYBODY:
+        advice = "; does the server's access control know this client, or is the server overloaded?"
+    elif tried["reason"] == NO_SERVER:
+        return f"no crkr server at {tried['endpoint']}: {tried['reason']}; connect to where `crkr server --listen` is"
+    elif tried["reason"].startswith("connected"):
+        advice = "; is the server overloaded or stopped?"
+    elif found := obstacle(connection.endpoint, connection.zenoh(_HANDSHAKE_S), _HANDSHAKE_S):
+        return f"no connection to {connection.endpoint}: {found.what}"
     elif _certificate(connection):
-        advice = "the certificates are in order there: are user and password?"
+        advice = "; the certificates are in order there: are user and password?"
     elif connection.endpoint.startswith("tls/"):
-        advice = "is a server with TLS running there, and of the authority that --zenoh-config names?"
-    return f"no answer from {tried['endpoint']} in {tried['tried_s']:.1f} s ({tried['reason']}); {advice}"
+        advice = "; is a server with TLS running there, and of the authority that --zenoh-config names?"
+    else:
+        advice = "; what listens there takes connections and says nothing: is the server stopped, is a password wrong?"
+    return where + advice
 
 
 def _certificate(connection: Connection) -> list[_Check]:
@@ -110,6 +125,20 @@ def _certificate(connection: Connection) -> list[_Check]:
     left = (end - datetime.now(UTC)).days
     advice = "" if left >= _RENEW_DAYS else f": {left} days are left, make new ones and restart the server"
     return [("certificate", not advice, f"the server's is valid until {end:%Y-%m-%d}{advice}")]
+
+
+def _strangers(client: Client, info: dict[str, Any]) -> list[_Check]:
+    """Others that answer for the server: they are not believed, and still somebody should look."""
+    session = client._rpc.transport.session.peek()
+    if info.get("protocol") != PROTOCOL_VERSION or session is None or not session.info.routers_zid():
+        return []
+    found = others(session, [*info.get("tasks", []), "none"][0])
+    if not found:
+        return []
+    who = ", ".join(sorted(found))
+    return [
+        ("trust", False, f"another client answers too, in vain (Zenoh id {who}): access control keeps it from that")
+    ]
 
 
 def _access(client: Client, info: dict[str, Any]) -> list[_Check]:
@@ -134,14 +163,40 @@ def _answers(info: dict[str, Any], trips: list[float]) -> list[_Check]:
     return [
         ("protocol", same, f"version {spoken}{advice}"),
         ("round trip", True, f"median {median:.2f} ms, worst of {len(trips)} {worst:.2f} ms"),
-        ("tasks", True, ", ".join(info.get("tasks", [])) or "none yet"),
+        ("tasks", True, named_tasks(info)),
+        *(("task", False, f"{name}: {fault}") for name, fault in (info.get("faulty") or {}).items()),
+        _threads(info),
     ]
+
+
+def _threads(info: dict[str, Any]) -> _Check:
+    ended, faults = ended_threads(info), thread_faults(info)
+    if ended:
+        return "threads", False, f"ended: {', '.join(ended)}; restart the server, its log says why"
+    return "threads", True, f"all run; faults they survived: {faults}; see the server's log" if faults else "all run"
 
 
 def _seconds(call: Any) -> float:
     start = time.perf_counter()
     call()
     return time.perf_counter() - start
+
+
+def _outbox(path: Path) -> _Check:
+    try:
+        file = OutboxFile.existing(path)
+    except CrkrError as error:
+        return "outbox", False, error.message
+    try:
+        pending, refused = file.pending(), file.refused()
+    except CrkrError as error:
+        return "outbox", False, error.message
+    finally:
+        file.close()
+    told = f"{pending} trials of task {file.task!r} wait"
+    if refused:
+        told += f", {len(refused)} were put aside, the first for {refused[0].error}; see Outbox.refused and discard"
+    return "outbox", not refused, told
 
 
 def _disk(directory: Path) -> list[_Check]:

@@ -8,10 +8,10 @@ from typing import Annotated, Final
 import typer
 
 from crkr.client import Client
-from crkr.client.commands.counting import counting
-from crkr.client.console import print_json, stdout
-from crkr.client.options import Connect, Json, Timeout, ZenohConfig
-from crkr.protocol import Invalid
+from crkr.client.cli.console import print_json, stdout
+from crkr.client.cli.options import Connect, Json, Overwrite, Timeout, ZenohConfig
+from crkr.client.cli.output_file import check_output
+from crkr.client.cli.progress import counting
 
 __all__ = ["export"]
 
@@ -21,7 +21,7 @@ _PAGE: Final = 5000  # trials asked for, and written, together
 def export(
     task: Annotated[str, typer.Argument(help="Name of the task.")],
     file: Annotated[Path, typer.Argument(dir_okay=False, help="Where to; .parquet, .csv or .npz says as what.")],
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Also where there is such a file already.")] = False,
+    overwrite: Overwrite = False,
     connect: Connect = None,
     timeout: Timeout = 10.0,
     zenoh_config: ZenohConfig = None,
@@ -36,13 +36,12 @@ def export(
     from crkr.client.trial_files import Layout, check_kind, writing
 
     check_kind(file)
-    if file.exists() and not overwrite:
-        raise Invalid(f"{file} exists; choose another file, or --overwrite")
+    check_output(file, overwrite=overwrite)
     with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
         handle = client.task(task)
         layout, total = Layout(handle.spec), sum(handle.status()["samples"].values())
         done = 0
-        with writing(file, layout) as sink, counting(f"exporting {task}", total) as show:
+        with writing(file, layout, overwrite=overwrite) as sink, counting(f"exporting {task}", total) as show:
             following: int | None = 0
             while following is not None:
                 page, following = handle.samples(following, _PAGE)

@@ -9,9 +9,10 @@ from typing import Annotated
 import typer
 
 from crkr.client import Client
-from crkr.client.commands.counting import counting
-from crkr.client.console import print_json, stdout
-from crkr.client.options import Connect, Json, Timeout, ZenohConfig
+from crkr.client.cli.console import print_json, stderr, stdout
+from crkr.client.cli.options import Connect, Json, Timeout, ZenohConfig
+from crkr.client.cli.progress import counting
+from crkr.protocol import Internal
 
 __all__ = ["import_"]
 
@@ -33,7 +34,7 @@ def import_(
     A file that something else wrote needs the columns id, kind, success, cost, state.NAME and goal.NAME.
     """
     from crkr.client.trial_files import Layout, check_kind, reading
-    from crkr.client.trial_files.importing import import_rows
+    from crkr.client.trial_files.trial_import import import_rows
 
     check_kind(file)
     with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
@@ -41,6 +42,10 @@ def import_(
         source = reading(file, Layout(handle.spec))
         with counting(f"importing {file.name}", source.count) as show:
             done = import_rows(handle, source.rows, timeout, show)
+    if done.accepted + done.duplicates != source.count:
+        raise Internal(f"{file} has {source.count} rows, but {done.accepted + done.duplicates} were acknowledged")
+    if done.packed:
+        stderr.print(f"{done.packed} rows have info that an earlier version took; it is kept as bytes under '$msgpack'")
     if as_json:
         print_json({"task": task, "file": str(file), "trials": source.count, **asdict(done)})
     else:

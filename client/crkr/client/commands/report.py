@@ -9,9 +9,9 @@ from uuid import uuid4
 import typer
 
 from crkr.client import Client
-from crkr.client.commands.vectors import check_count, parse_ids, parse_vector
-from crkr.client.console import print_json, stdout
-from crkr.client.options import Connect, Json, Timeout, ZenohConfig
+from crkr.client.cli.console import print_json, stdout
+from crkr.client.cli.options import Connect, Json, Timeout, ZenohConfig
+from crkr.client.cli.vectors import check_count, parse_ids, parse_vector
 
 __all__ = ["report"]
 

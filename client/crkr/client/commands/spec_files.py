@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 import tomllib
 from collections.abc import Iterator
@@ -10,8 +11,8 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, Final
 
-from crkr.client.guard import reason_missing
-from crkr.protocol import Invalid, TaskSpec, Unsupported
+from crkr.client.cli.error_lines import reason_missing
+from crkr.protocol import Invalid, StorageError, TaskSpec, Unsupported
 
 __all__ = ["STANDARD_OUTPUT", "read_spec", "skill_spec", "write_spec"]
 
@@ -19,6 +20,10 @@ GROUP: Final = "crkr.specifications"
 """Entry points of what knows a skill's specification; `skill` is called with its name and its options."""
 
 STANDARD_OUTPUT: Final = Path("-")
+_LARGEST: Final = 2**19  # bytes of a file; a specification with 256 coordinates everywhere has a fifth of it
+_MOST_DOTS: Final = 128  # of a key, for which the reader takes time by the square; prose has no more in a line
+_LONGEST_MESSAGE: Final = 1000  # characters; it may list thousands of fields
+_NO_KEY: Final = re.compile(r"[=,\[\]{}#]")
 
 
 def read_spec(path: Path) -> TaskSpec:
@@ -26,13 +31,39 @@ def read_spec(path: Path) -> TaskSpec:
 
     Raises:
         Invalid: It is neither, or no specification.
+        StorageError: It cannot be read.
     """
     is_json = path.suffix == ".json"
+    if path.exists() and not path.is_file():
+        raise Invalid(f"{path} is no regular file; write the specification to one")
     try:
-        data = json.loads(path.read_text()) if is_json else tomllib.loads(path.read_text())
-    except (json.JSONDecodeError, tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        with path.open("rb") as file:
+            data = file.read(_LARGEST + 1)
+    except OSError as error:
+        raise StorageError(f"{path} cannot be read: {error.strerror}") from error
+    if len(data) > _LARGEST:
+        raise Invalid(f"{path} has more than {_LARGEST} bytes, which no specification has")
+    try:
+        text = data.decode("utf-8-sig")  # as both formats are by definition, whatever the locale says
+        if not is_json and _has_endless_key(text):
+            raise Invalid(f"a key has more than {_MOST_DOTS} parts")
+        return TaskSpec.from_dict(json.loads(text) if is_json else tomllib.loads(text), strict=True)
+    except Invalid as error:
+        raise Invalid(f"{path}: {error.message[:_LONGEST_MESSAGE]}", details=error.details) from error
+    except RecursionError as error:
+        raise Invalid(f"{path} is nested too deep for a specification") from error
+    except ValueError as error:  # also of numbers with thousands of digits
         raise Invalid(f"{path} is not {'JSON' if is_json else 'TOML'}: {error}") from error
-    return TaskSpec.from_dict(data, strict=True)
+
+
+def _has_endless_key(toml: str) -> bool:
+    for line in toml.splitlines():
+        parts = 0
+        for part in line.split("."):
+            parts = 0 if _NO_KEY.search(part) else parts + 1
+            if parts > _MOST_DOTS:
+                return True
+    return False
 
 
 def skill_spec(skill: str, /, **options: Any) -> TaskSpec:
@@ -64,15 +95,20 @@ def write_spec(spec: TaskSpec, path: Path) -> None:
     """
     text = "{\n" + ",\n".join(_fields(spec)) + "\n}\n"
     if path == STANDARD_OUTPUT:
-        sys.stdout.write(text)
+        sys.stdout.write(text.replace("\x7f", "\\u007f"))  # JSON lets DEL stand
         return
     if path.suffix != ".json":
         raise Invalid(f"a specification is written as JSON; name the file .json, not {path.name}")
     try:
-        with path.open("x") as file:
-            file.write(text)
+        file = path.open("x", encoding="utf-8")
     except FileExistsError as error:
         raise Invalid(f"{path} is there already, perhaps edited; choose another name, or remove it") from error
+    try:
+        with file:
+            file.write(text)
+    except OSError:
+        path.unlink()  # half of it
+        raise
 
 
 def _fields(spec: TaskSpec) -> Iterator[str]:

@@ -9,16 +9,20 @@ from typing import Annotated, Any
 import typer
 
 from crkr.client import Client
-from crkr.client.console import print_json, print_table, stdout
-from crkr.client.options import Connect, Json, Timeout, ZenohConfig
+from crkr.client.cli.console import print_json, print_table, stdout
+from crkr.client.cli.options import Connect, Json, Timeout, ZenohConfig
 from crkr.protocol import CrkrError
 
-__all__ = ["status"]
+__all__ = ["named_tasks", "status"]
+
+_MOST_NAMED = 20  # tasks
 
 
 def status(
     task: Annotated[str | None, typer.Argument(help="Name of a task; the whole server unless given.")] = None,
-    check: Annotated[bool, typer.Option("--check", help="Print nothing; exit 0 if it answers, 1 if not.")] = False,
+    check: Annotated[
+        bool, typer.Option("--check", help="Print nothing; exit 0 if it answers and all its threads run, 1 if not.")
+    ] = False,
     connect: Connect = None,
     timeout: Timeout = 5.0,
     zenoh_config: ZenohConfig = None,
@@ -36,7 +40,7 @@ def status(
             raise typer.Exit(1) from error
         raise
     if check:
-        return
+        raise typer.Exit(1 if ended_threads(answer) else 0)
     if as_json:
         print_json(answer)
     elif task is None:
@@ -53,9 +57,18 @@ def _show_server(info: Mapping[str, Any]) -> None:
             ("protocol", info.get("protocol")),
             ("id", info.get("server_id")),
             ("up for", _duration(time.time() - float(info.get("started", time.time())))),
-            ("tasks", ", ".join(info.get("tasks", [])) or "none yet"),
+            ("tasks", named_tasks(info)),
+            *_threads(info),
         ],
     )
+
+
+def named_tasks(info: Mapping[str, Any]) -> str:
+    """The tasks that an `info` tells of, in a line; where there are many, the first of them and how many more."""
+    names = info.get("tasks", [])
+    more = info.get("task_count", len(names)) - _MOST_NAMED
+    listed = ", ".join(names[:_MOST_NAMED]) or "none yet"
+    return f"{listed} and {more} more: crkr tasks" if more > 0 else listed
 
 
 def _show_task(answer: Mapping[str, Any]) -> None:
@@ -64,9 +77,30 @@ def _show_task(answer: Mapping[str, Any]) -> None:
     if "uptime" in answer:
         rows.append(("server up for", _duration(float(answer["uptime"]))))
     rows += [(name, str(answer[name])) for name in ("fault", "damage") if answer.get(name)]
-    print_table(("task", str(answer.get("task", ""))), rows)
+    rows += [("advice", str(one.get("message", one))) for one in answer.get("advice") or []]
+    print_table(("task", str(answer.get("task", ""))), rows + _threads(answer))
     _show_verbs(answer.get("latency_us") or {}, answer.get("queues") or {})
-    _show_workers(answer.get("workers") or [])
+    _show_workers(answer.get("workers") or [], answer.get("more_workers") or 0)
+
+
+def ended_threads(answer: Mapping[str, Any]) -> list[str]:
+    """Threads that the server needs and lost, as `info` and `status` tell them."""
+    threads = answer.get("threads")
+    ended = threads.get("ended") if isinstance(threads, Mapping) else None
+    return [str(name) for name in ended] if isinstance(ended, list) else []
+
+
+def thread_faults(answer: Mapping[str, Any]) -> str:
+    """What the server's threads survived, in words; "" where nothing went wrong."""
+    threads = answer.get("threads")
+    faults = threads.get("faults") if isinstance(threads, Mapping) else None
+    listed = faults.items() if isinstance(faults, Mapping) else ()
+    return ", ".join(f"{name} {count}" for name, count in listed)
+
+
+def _threads(answer: Mapping[str, Any]) -> list[tuple[str, str]]:
+    rows = [("thread faults", thread_faults(answer)), ("threads ended", ", ".join(ended_threads(answer)))]
+    return [row for row in rows if row[1]]
 
 
 def _show_verbs(latency: Mapping[str, Any], queues: Mapping[str, Any]) -> None:
@@ -85,7 +119,7 @@ def _waiting(queues: Mapping[str, Any], verb: str) -> str:
     return str(queue.get("waiting", "")) if isinstance(queue, Mapping) else ""
 
 
-def _show_workers(workers: Sequence[Mapping[str, Any]]) -> None:
+def _show_workers(workers: Sequence[Mapping[str, Any]], more: int) -> None:
     if not workers:
         stdout.print("no workers seen")
         return
@@ -99,6 +133,8 @@ def _show_workers(workers: Sequence[Mapping[str, Any]]) -> None:
         for worker in workers
     ]
     print_table(("worker", "state", "open trials", "oldest since", "last seen"), rows)
+    if more:
+        stdout.print(f"and {more} workers more, seen longer ago")
 
 
 def _since(moment: float | None) -> float | None:

@@ -8,9 +8,9 @@ from typing import Annotated
 import typer
 
 from crkr.client import Client
+from crkr.client.cli.console import print_json, print_table, stdout
+from crkr.client.cli.options import Connect, Json, Timeout, ZenohConfig
 from crkr.client.commands.spec_files import STANDARD_OUTPUT, read_spec, skill_spec, write_spec
-from crkr.client.console import print_json, print_table, stdout
-from crkr.client.options import Connect, Json, Timeout, ZenohConfig
 from crkr.protocol import TaskSpec
 
 __all__ = ["create", "tasks"]
@@ -91,7 +91,7 @@ def tasks(
     Example: crkr tasks --json
     """
     with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
-        found = client.tasks()
+        found = list(client.iter_tasks())
     if as_json:
         print_json([{**entry, "spec": entry["spec"].to_dict()} for entry in found])
     elif not found:
@@ -107,7 +107,7 @@ def tasks(
                     entry["samples"],
                     entry["active"],
                     entry["model_version"],
-                    "archived" if entry["archived"] else "",
+                    "faulty" if "fault" in entry else "archived" if entry["archived"] else "",
                 )
                 for entry in found
             ],

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import csv
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any, Final, final
 
@@ -13,6 +12,7 @@ import pyarrow as pa
 import pyarrow.csv
 import pyarrow.parquet
 
+from crkr.client.trial_files.csv_shape import LONGEST_LINE, csv_shape
 from crkr.client.trial_files.layout import Layout
 from crkr.protocol import Invalid
 
@@ -20,6 +20,9 @@ __all__ = ["ArrowSink", "csv_source", "parquet_source"]
 
 _TYPES: Final = {"int": pa.int64(), "float": pa.float64(), "text": pa.string(), "flag": pa.bool_()}
 _ROWS: Final = 4096  # read together
+_BUFFER: Final = 2**20  # bytes of each column in a Parquet file
+_MANY_BYTES: Final = 2**28  # of one group of rows; more are believed where the file is large
+_MOST_PACKED: Final = 100  # times the file's own size
 _PLACE: Final = re.compile(r"(?:In CSV column #(\d+): )?(?:.*?)Row #(\d+): (.*)", re.DOTALL)
 
 
@@ -35,8 +38,11 @@ class ArrowSink:
 
     def __init__(self, file: IO[bytes], layout: Layout, kind: str) -> None:
         self._schema = pa.schema([(name, _TYPES[type_]) for name, type_ in layout.types.items()])
-        make = pa.parquet.ParquetWriter if kind == ".parquet" else pa.csv.CSVWriter
-        self._writer: Any = make(file, self._schema)
+        self._writer: Any
+        if kind == ".parquet":
+            self._writer = pa.parquet.ParquetWriter(file, self._schema, write_page_checksum=True)
+        else:
+            self._writer = pa.csv.CSVWriter(file, self._schema)
 
     def write(self, columns: Mapping[str, Sequence[Any]]) -> None:
         """Takes values by column."""
@@ -51,21 +57,23 @@ def parquet_source(path: Path, layout: Layout) -> tuple[int, Iterator[Mapping[st
     """How many rows there are, and each by column.
 
     Raises:
-        Invalid: Not Parquet, or columns of other names or types.
+        Invalid: Not Parquet, columns of other names or types, or sizes that no file of trials has.
     """
     with _complaints():
-        file = pa.parquet.ParquetFile(path)
-    names = file.schema_arrow.names
-    layout.check(names)
-    known = [name for name in layout.types if name in names]
-    schema = pa.schema([(name, _TYPES[layout.types[name]]) for name in known])
+        file = pa.parquet.ParquetFile(path, pre_buffer=False, buffer_size=_BUFFER, page_checksum_verification=True)
+        schema, count = file.schema_arrow, int(file.metadata.num_rows)
+    layout.check(schema.names)
+    known = [name for name in layout.read if name in schema.names]
+    with _complaints():
+        for name in known:
+            _check_type(name, schema.field(name).type, count)
+        _check_sizes(file.metadata, path.stat().st_size)
 
-    def rows() -> Iterator[Mapping[str, Any]]:
+    def batches() -> Iterator[Any]:
         with file, _complaints():
-            for batch in file.iter_batches(_ROWS, columns=known):
-                yield from pa.Table.from_batches([batch]).select(known).cast(schema).to_pylist()
+            yield from file.iter_batches(_ROWS, columns=known, use_threads=False)
 
-    return int(file.metadata.num_rows), rows()
+    return count, _rows(batches(), known, layout)
 
 
 def csv_source(path: Path, layout: Layout) -> tuple[int, Iterator[Mapping[str, Any]]]:
@@ -74,26 +82,98 @@ def csv_source(path: Path, layout: Layout) -> tuple[int, Iterator[Mapping[str, A
     Raises:
         Invalid: Not CSV, columns of other names, or a value of another type; the message names row and column.
     """
-    with path.open(newline="", encoding="utf-8-sig", errors="replace") as file, _complaints():
-        names = next(csv.reader(file), [])
-    layout.check(names)
-    wanted = [name for name in names if name in layout.types]
-    # A whole number may be written 3.0: spreadsheets do where a column has gaps.
-    types = {name: _TYPES["float" if layout.types[name] == "int" else layout.types[name]] for name in wanted}
-    with _complaints(names):
-        table = pa.csv.read_csv(
-            path,
-            read_options=pa.csv.ReadOptions(use_threads=False),  # or it would not tell the row of an error
-            parse_options=pa.csv.ParseOptions(newlines_in_values=True),
-            convert_options=pa.csv.ConvertOptions(
-                column_types=types,
-                include_columns=wanted,
-                null_values=[""],
-                strings_can_be_null=True,
-                quoted_strings_can_be_null=False,
-            ),
+    names, count = csv_shape(path, layout)
+    wanted = [name for name in names if name in layout.read]
+
+    def batches() -> Iterator[Any]:
+        with _complaints(names), _csv_reader(path, wanted) as reader:
+            yield from reader
+
+    return count, _rows(batches(), wanted, layout) if count else iter(())
+
+
+def _csv_reader(path: Path, wanted: Sequence[str]) -> Any:
+    return pa.csv.open_csv(
+        path,
+        # In threads it would not tell the row of an error. A row must fit in a block.
+        read_options=pa.csv.ReadOptions(use_threads=False, block_size=4 * LONGEST_LINE),
+        parse_options=pa.csv.ParseOptions(newlines_in_values=True),
+        convert_options=pa.csv.ConvertOptions(
+            column_types=dict.fromkeys(wanted, pa.string()),
+            include_columns=wanted,
+            null_values=[""],
+            strings_can_be_null=True,
+            quoted_strings_can_be_null=False,
+        ),
+    )
+
+
+def _check_type(name: str, kind: Any, count: int) -> None:
+    """Refuses what can be no cell: dates, lists, maps."""
+    kind = kind.value_type if pa.types.is_dictionary(kind) else kind
+    kind = kind.storage_type if isinstance(kind, pa.BaseExtensionType) else kind
+    is_plain = any(
+        is_one(kind)
+        for is_one in (
+            pa.types.is_null,
+            pa.types.is_boolean,
+            pa.types.is_integer,
+            pa.types.is_floating,
+            pa.types.is_decimal,
+            _is_text,
+            pa.types.is_binary,
+            pa.types.is_large_binary,
+            pa.types.is_fixed_size_binary,
         )
-    return table.num_rows, (row for batch in table.to_batches(_ROWS) for row in batch.to_pylist())
+    )
+    if count and not is_plain:
+        raise Invalid(f"row 1, column {name!r}: a trial has no value of type {kind} there")
+
+
+def _check_sizes(metadata: Any, there: int) -> None:
+    """Compares what the file says of itself with what there is, before anything is read.
+
+    Not by column: pyarrow ends the process where the sizes of a damaged file's column contradict each other.
+    """
+    total = 0
+    for place in range(metadata.num_row_groups):
+        group = metadata.row_group(place)
+        total += group.num_rows
+        if not 0 <= group.total_byte_size <= max(_MANY_BYTES, _MOST_PACKED * there):
+            raise Invalid(
+                f"a group of its rows would have {group.total_byte_size} bytes, but the file has {there}; "
+                "write smaller groups"
+            )
+    if total != metadata.num_rows:
+        raise Invalid(f"it should have {metadata.num_rows} rows, but its groups have {total}")
+
+
+def _rows(batches: Iterator[Any], names: Sequence[str], layout: Layout) -> Iterator[Mapping[str, Any]]:
+    number = 0
+    for batch in batches:
+        with _complaints():
+            cells = [_cells(batch.column(name), layout.read[name] == "float") for name in names]
+        for place in range(batch.num_rows):
+            number += 1
+            yield {
+                name: layout.parsed(number, name, column[place]) if is_text else column[place]
+                for name, (column, is_text) in zip(names, cells, strict=True)
+            }
+
+
+def _cells(column: Any, are_numbers: bool) -> tuple[list[Any], bool]:
+    """The values of a column, and whether they are text that is still to be read."""
+    if isinstance(column, pa.ExtensionArray):  # UUIDs for one, whose storage is 16 bytes
+        column = column.storage
+    kind = column.type.value_type if pa.types.is_dictionary(column.type) else column.type
+    if are_numbers and _is_text(kind):
+        with suppress(pa.ArrowInvalid):  # there are gaps, or what is no number: each is looked at
+            return column.cast(pa.float64()).to_pylist(), False
+    return column.to_pylist(), _is_text(kind)
+
+
+def _is_text(kind: Any) -> bool:
+    return any(is_one(kind) for is_one in (pa.types.is_string, pa.types.is_large_string, pa.types.is_string_view))
 
 
 @contextmanager
@@ -109,9 +189,9 @@ def _complaints(columns: Sequence[str] = ()) -> Iterator[None]:
         if error.errno is not None:  # of the disk, not of what is in the file
             raise
         raise Invalid(f"it cannot be read: {error}") from error
-    except csv.Error as error:
-        raise Invalid(f"it cannot be read: {error}") from error
-    except (pa.ArrowInvalid, pa.ArrowTypeError, pa.ArrowNotImplementedError) as error:
+    except (pa.ArrowException, ValueError, TypeError, LookupError, OverflowError, RecursionError) as error:
+        if isinstance(error, MemoryError):
+            raise
         found = _PLACE.match(str(error))
         if found is None:
             raise Invalid(f"it cannot be read: {error}") from error

@@ -8,12 +8,13 @@ from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any, Final, Protocol, final
+from uuid import uuid4
 
-from crkr.client.guard import require
+from crkr.client.cli.error_lines import require
 from crkr.client.trial_files.layout import FileRow, Layout
-from crkr.protocol import Invalid
+from crkr.protocol import Invalid, StorageError
 
-__all__ = ["Sink", "Source", "check_kind", "reading", "writing"]
+__all__ = ["Sink", "Source", "check_free", "check_kind", "reading", "writing"]
 
 _KINDS: Final = (".parquet", ".csv", ".npz")
 
@@ -59,18 +60,42 @@ def check_kind(path: Path) -> str:
     return kind
 
 
+def check_free(path: Path, *, overwrite: bool) -> None:
+    """Looks whether a file may be written.
+
+    Raises:
+        Invalid: There is one already, and it is not to be overwritten; or something that is no file.
+    """
+    if not os.path.lexists(path):
+        return
+    if not overwrite:
+        raise Invalid(f"{path} exists; choose another file, or --overwrite")
+    if path.exists() and not path.is_file():
+        raise Invalid(f"{path} is no regular file; choose another name")
+
+
 @contextmanager
-def writing(path: Path, layout: Layout) -> Iterator[Sink]:
-    """A new file, or one in place of the one there; it appears under its name when it is whole."""
+def writing(path: Path, layout: Layout, *, overwrite: bool = False) -> Iterator[Sink]:
+    """A new file, or one in place of the one there; it appears under its name when it is whole.
+
+    Raises:
+        Invalid: There is one already, and it is not to be overwritten.
+    """
     kind = check_kind(path)
-    partial = path.with_name(path.name + ".partial")
+    check_free(path, overwrite=overwrite)
+    partial = path.with_name(f".crkr-{uuid4().hex}.partial")
     try:
-        with partial.open("wb") as file:
+        with partial.open("xb") as file:
             with closing(_sink(file, layout, kind)) as sink:
                 yield sink
             file.flush()
             os.fsync(file.fileno())
+        check_free(path, overwrite=overwrite)  # it may have come meanwhile
         partial.replace(path)
+    except OSError as error:
+        if error.filename == str(partial):
+            error.filename = str(path)  # which the user knows
+        raise
     finally:
         partial.unlink(missing_ok=True)
 
@@ -83,12 +108,17 @@ def reading(path: Path, layout: Layout) -> Source:
     """
     kind = check_kind(path)
     with _naming(path):
+        if path.exists() and not path.is_file():
+            raise Invalid("it is no regular file")
         count, found = _source(path, layout, kind)
 
     def rows() -> Iterator[FileRow]:
+        number = 0
         with _naming(path):
             for number, values in enumerate(found, 1):
                 yield layout.row(number, values)
+            if number != count:
+                raise Invalid(f"it should have {count} rows, but {number} were read")
 
     return Source(count, rows())
 
@@ -119,3 +149,9 @@ def _naming(path: Path) -> Iterator[None]:
         yield
     except Invalid as error:
         raise Invalid(f"{path}: {error.message}", details=error.details) from error
+    except OSError as error:
+        if error.filename is not None:
+            raise
+        raise StorageError(f"{path} cannot be read: {error.strerror or error}") from error
+    except MemoryError as error:
+        raise Invalid(f"{path}: there is not enough memory to read it") from error

@@ -1,6 +1,6 @@
 """A trial's `info` as JSON that comes back the same, though msgpack knows more than JSON does.
 
-What JSON has no word for (bytes, numbers that are not finite) stands as {"$msgpack": base64 of its msgpack}.
+What JSON has no word for (bytes, arrays, numbers that are not finite) stands as {"$msgpack": base64 of its msgpack}.
 """
 
 from __future__ import annotations
@@ -13,8 +13,10 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from crkr.protocol import Invalid, pack, unpack
+from crkr.protocol.checks import shown
+from crkr.protocol.info import MAX_INFO_BYTES, MAX_INFO_DEPTH, check_info, restored_info
 
-__all__ = ["info_from_json", "info_to_json"]
+__all__ = ["info_from_json", "info_to_json", "reported_info"]
 
 _ODD: Final = "$msgpack"
 
@@ -35,15 +37,39 @@ def info_from_json(text: str) -> dict[str, Any]:
         if isinstance(value, dict):
             return {key: _restored(entry) for key, entry in value.items()}
     except (ValueError, RecursionError, binascii.Error) as error:
-        raise Invalid(f"info must be JSON: {error}") from error
-    raise Invalid(f"info must be a JSON object; got {text:.80}")
+        raise Invalid(f"info must be JSON: {error}", details={"field": "info"}) from error
+    raise Invalid(f"info must be a JSON object; got {shown(text)}", details={"field": "info"})
 
 
-def _plain(value: Any) -> Any:
-    if isinstance(value, Mapping) and _ODD not in value and all(isinstance(key, str) for key in value):
-        return {key: _plain(entry) for key, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(entry) for entry in value]
+def reported_info(text: str) -> tuple[dict[str, Any], bool]:
+    """What a row's JSON says, as a trial may have it; and whether it had to be kept as bytes.
+
+    Earlier versions took info that is refused now, nested hundreds deep for one. It becomes {"$msgpack": bytes}.
+
+    Raises:
+        Invalid: No version took it, or it is no JSON object.
+    """
+    if not text:
+        return {}, False
+    info = restored_info(info_from_json(text))
+    try:
+        return check_info(info), False
+    except Invalid as error:
+        try:
+            packed = pack(info)
+        except Invalid:
+            raise error from None
+        if len(packed) > MAX_INFO_BYTES:
+            raise
+        return check_info({_ODD: packed}), True
+
+
+def _plain(value: Any, depth: int = 1) -> Any:
+    if depth <= MAX_INFO_DEPTH:  # deeper is what an earlier version took, and becomes bytes
+        if isinstance(value, Mapping) and _ODD not in value and all(isinstance(key, str) for key in value):
+            return {key: _plain(entry, depth + 1) for key, entry in value.items()}
+        if isinstance(value, list | tuple):
+            return [_plain(entry, depth + 1) for entry in value]
     if value is None or isinstance(value, bool | int | str) or (isinstance(value, float) and math.isfinite(value)):
         return value
     return {_ODD: base64.b64encode(pack({_ODD: value})).decode()}

@@ -3,30 +3,38 @@
 from __future__ import annotations
 
 import math
+import re
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from decimal import Decimal
 from typing import Any, Final, Literal, final
 from uuid import UUID
 
-from crkr.client.trial_files.info_json import info_from_json, info_to_json
+from crkr.client.trial_files.info_json import info_to_json, reported_info
 from crkr.protocol import Invalid, StoredTrial, TaskSpec, Trial
-from crkr.protocol.checks import flag
+from crkr.protocol.checks import flag, shown
 
 __all__ = ["ColumnType", "FileRow", "Layout"]
 
 ColumnType = Literal["int", "float", "text", "flag"]
 
 _REQUIRED: Final[Mapping[str, ColumnType]] = {"id": "text", "kind": "text", "success": "flag", "cost": "float"}
-# What may be left out. The first two are the server's own: an import gets new ones.
+# The server's own: an import gets new ones, and reads none.
+_WRITTEN: Final[Mapping[str, ColumnType]] = {"seq": "int", "time": "float"}
 _OPTIONAL: Final[Mapping[str, ColumnType]] = {
-    "seq": "int",
-    "time": "float",
     "worker": "text",
     "model_version": "int",
     "removed": "flag",
     "info": "text",
 }
+_NUMBER: Final = re.compile(
+    r"[-+]?(?:(?:\d+(?:\.\d*)?|\.\d+)(?:e[-+]?\d+)?|nan|inf(?:inity)?)", re.ASCII | re.IGNORECASE
+)
+_WHOLE: Final = re.compile(r"[-+]?\d+", re.ASCII)
+_LONGEST_NUMBER: Final = 400  # characters
+_GAPS: Final = ("", "na", "<na>", "null")  # as R, pandas and databases write them in columns of numbers and flags
+_FLAGS: Final = {"true": True, "1": True, "1.0": True, "false": False, "0": False, "0.0": False}
 
 
 @final
@@ -38,11 +46,13 @@ class FileRow:
         number: Its row, from 1.
         trial: What was reported, with the cost that held when it was written.
         removed: It had been taken out of learning.
+        packed: Its `info`, taken by an earlier version, is one that no trial may have now; it is kept as bytes.
     """
 
     number: int
     trial: Trial
     removed: bool
+    packed: bool = False
 
 
 @final
@@ -54,7 +64,8 @@ class Layout:
         state: Names of its d columns.
         goal: Names of its p columns.
         outcome: Names of its q columns.
-        types: Every column with the type of its values; any may be empty.
+        types: Every column that is written, with the type of its values; any may be empty.
+        read: Those that are read.
     """
 
     def __init__(self, spec: TaskSpec) -> None:
@@ -63,7 +74,8 @@ class Layout:
         self.goal: Final = tuple(f"goal.{axis.name}" for axis in spec.goal)
         self.outcome: Final = tuple(f"outcome.{entry.name}" for entry in spec.outcome)
         numbers: dict[str, ColumnType] = dict.fromkeys((*self.state, *self.goal, *self.outcome), "float")
-        self.types: Final[Mapping[str, ColumnType]] = {**_REQUIRED, **numbers, **_OPTIONAL}
+        self.read: Final[Mapping[str, ColumnType]] = {**_REQUIRED, **numbers, **_OPTIONAL}
+        self.types: Final[Mapping[str, ColumnType]] = {**_REQUIRED, **numbers, **_WRITTEN, **_OPTIONAL}
 
     def check(self, found: Collection[str]) -> None:
         """Looks at a file's columns; those that mean nothing here are ignored.
@@ -74,7 +86,7 @@ class Layout:
         missing = [name for name in (*_REQUIRED, *self.state, *self.goal) if name not in found]
         if missing:
             raise Invalid(f"column {missing[0]!r} is missing; there are: {', '.join(found) or 'none'}")
-        twice = [name for name, times in Counter(list(found)).items() if times > 1 and name in self.types]
+        twice = [name for name, times in Counter(list(found)).items() if times > 1 and name in self.read]
         if twice:
             raise Invalid(f"column {twice[0]!r} comes twice; leave one out")
         for name in found:
@@ -104,29 +116,56 @@ class Layout:
         """Checks one row's values by column.
 
         Raises:
-            Invalid: A value that no trial of the task can have; the message names the row.
+            Invalid: A value that no trial of the task can have; the message names the row and the column.
         """
         try:
-            removed = values.get("removed")
-            return FileRow(number, self._trial(values), removed is not None and flag(removed, "removed"))
+            cells = {name: _cell(name, kind, values.get(name)) for name, kind in self.read.items()}
+            info, packed = reported_info(cells["info"] or "")
+            removed = cells["removed"]
+            return FileRow(number, self._trial(cells, info), removed is not None and flag(removed, "removed"), packed)
         except Invalid as error:
-            raise Invalid(f"row {number}: {error.message}", details={**error.details, "row": number}) from error
+            separator = "" if error.message.startswith(", column") else ": "
+            details = {**error.details, "row": number}
+            raise Invalid(f"row {number}{separator}{error.message}", details=details) from error
 
-    def _trial(self, values: Mapping[str, Any]) -> Trial:
-        measured = [values.get(name) for name in self.outcome]
-        version, info = values.get("model_version"), values.get("info")
+    def parsed(self, number: int, name: str, text: str | None) -> object:
+        """What a cell of text says; one that is empty says nothing, unless it is text that is wanted.
+
+        Raises:
+            Invalid: It is none of the column's type; the message names row and column.
+        """
+        kind = self.read[name]
+        if text is None or kind == "text":
+            return text
+        word = text.strip()
+        if word.lower() in _GAPS:
+            return None
+        if kind == "flag" and word.lower() in _FLAGS:
+            return _FLAGS[word.lower()]
+        if kind == "int" and len(word) <= _LONGEST_NUMBER and _WHOLE.fullmatch(word):
+            return int(word)
+        if kind != "flag" and len(word) <= _LONGEST_NUMBER and _NUMBER.fullmatch(word):
+            return float(word)
+        wanted = "true or false" if kind == "flag" else "a number"
+        raise Invalid(f"row {number}, column {name!r}: must be {wanted}; got {shown(text)}", details={"row": number})
+
+    def _trial(self, cells: Mapping[str, Any], info: Mapping[str, Any]) -> Trial:
+        for name in (*self.state, *self.goal):
+            if cells[name] is None:
+                raise Invalid(f"{name.partition('.')[0]} must be finite; column {name!r} is empty")
+        measured = [cells[name] for name in self.outcome]
         return Trial.create(
             self.spec,
-            id=_uuid(values["id"]),
-            state=[values[name] for name in self.state],
-            goal=[values[name] for name in self.goal],
-            cost=None if _is_nan(values["cost"]) else values["cost"],
-            success=values["success"],
-            kind=values["kind"],
+            id=_uuid(cells["id"]),
+            state=[cells[name] for name in self.state],
+            goal=[cells[name] for name in self.goal],
+            cost=cells["cost"],
+            success=cells["success"],
+            kind=cells["kind"],
             outcome=None if all(value is None for value in measured) else measured,
-            worker=values.get("worker"),
-            model_version=None if version is None or _is_nan(version) else _whole(version),
-            info=info_from_json(info) if info else None,
+            worker=cells["worker"],
+            model_version=cells["model_version"],
+            info=info,
         )
 
 
@@ -139,17 +178,40 @@ def _numbers(trial: Trial, count: int) -> list[float | None]:
     return [None] * count if trial.outcome is None else list(trial.outcome.tolist())
 
 
+def _cell(name: str, kind: ColumnType, value: Any) -> Any:
+    """A value as what its column holds; data frames make 3.0 of 3 and of a truth value, and NaN of what is not there.
+
+    Raises:
+        Invalid: It is of another type; the message names the column.
+    """
+    if type(value) is float and value == value and kind == "float":  # nearly every cell
+        return value
+    if isinstance(value, Decimal):
+        value = float(value)
+    if kind == "flag":
+        return bool(value) if isinstance(value, int | float) and value in (0, 1) else value
+    if isinstance(value, float) and math.isnan(value) and not name.startswith("outcome."):
+        return None
+    if value is None or name == "id":
+        return value
+    if kind == "text":
+        if not isinstance(value, str):
+            raise Invalid(f", column {name!r}: must be text; got {shown(value)}")
+    elif isinstance(value, bool) or not isinstance(value, int | float):
+        raise Invalid(f", column {name!r}: must be a number; got {shown(value)}")
+    elif kind == "int" and isinstance(value, float) and value.is_integer():
+        return int(value)
+    return value
+
+
 def _uuid(value: object) -> UUID:
     try:
-        return UUID(str(value))
-    except ValueError as error:
-        raise Invalid(f"id must be a UUID; got {value!r:.80}") from error
-
-
-def _is_nan(value: object) -> bool:
-    return isinstance(value, float) and math.isnan(value)
-
-
-def _whole(value: object) -> object:
-    """Spreadsheets and data frames make 3.0 of 3 where a column has gaps."""
-    return int(value) if isinstance(value, float) and value.is_integer() else value
+        if isinstance(value, UUID):
+            return value
+        if isinstance(value, bytes):
+            return UUID(bytes=value) if len(value) == 16 else UUID(value.decode())
+        if isinstance(value, str):
+            return UUID(value)
+    except ValueError:
+        pass
+    raise Invalid(f"id must be a UUID; got {shown(value)}", details={"field": "id"})

@@ -1,13 +1,18 @@
 """Trials in NumPy's npz: coordinates as matrices (n, d), (n, p) and (n, q), everything else as one array a column.
 
 No pickle: text is an array of text, and `info` is UTF-8 bytes, a line of JSON for each trial and an empty one for none.
+Arrays are read a few rows at a time, after their headers were compared with what the archive holds, and only those that
+a trial is made of.
 """
 
 from __future__ import annotations
 
+import errno
+import math
+import warnings
 import zipfile
-import zlib
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any, Final, final
 
@@ -15,13 +20,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crkr.client.trial_files.layout import Layout
-from crkr.protocol import Invalid
+from crkr.protocol import CrkrError, Invalid
+from crkr.protocol.checks import flag, shown
 
 __all__ = ["NpzSink", "npz_source"]
 
 # How a column's gaps are written.
 _GAPS: Final[Mapping[str, Any]] = {"int": -1, "float": np.nan, "text": "", "flag": False}
 _DTYPES: Final[Mapping[str, Any]] = {"int": np.int64, "float": np.float64, "text": np.str_, "flag": np.bool_}
+_GIVEN: Final = ("outcome_given", "worker_given")  # tell a gap from NaN everywhere, and from an empty name
+_ROWS: Final = 4096  # read together
+_LONGEST_LINE: Final = 2**20  # bytes of a trial's info
+_WIDEST: Final = 2**16  # bytes of a row of one array
+_MOST_WHOLE: Final = 2**28  # bytes of an array that has to be read at once, as its rows are not together
 
 
 @final
@@ -47,6 +58,7 @@ class NpzSink:
             arrays[f"{group}_names"] = np.array([name.partition(".")[2] for name in names], dtype=np.str_)
         if layout.outcome:
             arrays["outcome_given"] = np.array([value is not None for value in columns[layout.outcome[0]]], dtype=bool)
+        arrays["worker_given"] = np.array([value is not None for value in columns["worker"]], dtype=bool)
         for name, kind in layout.types.items():
             if "." not in name and name != "info":
                 arrays[name] = _array(columns[name], kind)
@@ -55,28 +67,92 @@ class NpzSink:
         np.savez(self._file, allow_pickle=False, **arrays)
 
 
+@final
+class _Member:
+    """An array of an archive, read from its beginning on.
+
+    Attributes:
+        name: Without ".npy".
+        shape: As its header says, and as there are bytes for.
+        dtype: Of its entries.
+    """
+
+    def __init__(self, archive: zipfile.ZipFile, name: str) -> None:
+        self.name: Final = name
+        entry = archive.getinfo(f"{name}.npy")
+        self.stream: Final = archive.open(entry)
+        shape, is_fortran, dtype = _header(self.stream)
+        self.shape: Final = shape
+        self.dtype: Final = dtype
+        if dtype.hasobject:
+            raise ValueError(f"{name} holds objects, which would need allow_pickle")
+        claimed, there = math.prod(shape) * dtype.itemsize, entry.file_size - self.stream.tell()
+        if claimed != there:
+            raise ValueError(f"{name} should have {claimed} bytes, but there are {there}")
+        if dtype.itemsize * math.prod(shape[1:]) > _WIDEST:
+            raise ValueError(f"{name} has more than {_WIDEST} bytes a row")
+        self._whole: NDArray[Any] | None = None
+        self._first = 0
+        if is_fortran and len(shape) == 2 and min(shape) > 1:
+            if claimed > _MOST_WHOLE:
+                raise ValueError(f"{name} is kept by columns and has {claimed} bytes; save it in C order")
+            self._whole = self._entries(math.prod(shape)).reshape(shape, order="F")
+
+    def read(self, count: int) -> NDArray[Any]:
+        """The next `count` rows."""
+        if self._whole is not None:
+            self._first += count
+            return self._whole[self._first - count : self._first]
+        return self._entries(count * math.prod(self.shape[1:])).reshape((count, *self.shape[1:]))
+
+    def _entries(self, count: int) -> NDArray[Any]:
+        data = bytearray()
+        while left := count * self.dtype.itemsize - len(data):
+            piece = self.stream.read(left)
+            if not piece:
+                raise EOFError(f"{self.name} ends early")
+            data += piece
+        return np.frombuffer(bytes(data), self.dtype, count) if count else np.empty(0, self.dtype)
+
+
 def npz_source(path: Path, layout: Layout) -> tuple[int, Iterator[Mapping[str, Any]]]:
     """How many rows there are, and each by column.
 
     Raises:
         Invalid: Not npz, arrays of other shapes, or of coordinates that the task has not.
     """
-    try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as found:
-            arrays = {name: found[name] for name in found.files}
-    except (ValueError, TypeError, EOFError, zipfile.BadZipFile, zlib.error) as error:
-        raise Invalid(f"it is not npz: {error}") from error
-    columns = {name: arrays[name] for name in layout.types if name in arrays and name != "info"}
-    for group, names in _groups(layout).items():
-        columns |= _split(group, names, arrays)
+    with _complaints():
+        archive = zipfile.ZipFile(path)
+        names = {name.removesuffix(".npy") for name in archive.namelist() if name.endswith(".npy")}
+        asked = [name for name in (*layout.read, *_groups(layout), *_GIVEN) if name in names]
+        members = {name: _Member(archive, name) for name in asked if name != "info"}
+    columns: dict[str, tuple[int, ...]] = {name: members[name].shape for name in members if name in layout.read}
+    places: dict[str, list[str]] = {}  # coordinates by matrix
+    for group, own in _groups(layout).items():
+        if group in members:
+            places[group] = _coordinates(archive, names, members[group], own)
+            columns |= {f"{group}.{name}": members[group].shape[:1] for name in places[group]}
     layout.check(columns)
-    count = len(columns["id"]) if columns["id"].ndim == 1 else -1
-    given = {name: arrays[name] for name in ("outcome_given",) if name in arrays}
-    odd = [f"{name} {column.shape}" for name, column in (columns | given).items() if column.shape != (count,)]
-    if odd:
+    count = columns["id"][0] if len(columns["id"]) == 1 else -1
+    columns |= {name: members[name].shape for name in _GIVEN if name in members}
+    if odd := [f"{name} {shape}" for name, shape in columns.items() if shape != (count,)]:
         raise Invalid(f"every array must have one row for each of the ids; got {', '.join(odd)}")
-    infos = _infos(arrays, count)
-    return count, _rows(layout, columns, arrays.get("outcome_given"), infos)
+    info = _info(archive, count) if "info" in names else None
+    return count, _rows(archive, layout, members, places, info, count)
+
+
+def _header(stream: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
+    """Shape, whether by columns, and type."""
+    version = np.lib.format.read_magic(stream)
+    if version not in ((1, 0), (2, 0)):
+        raise ValueError(f"an array has format {version}")
+    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of headers that Python 2 wrote
+        shape, is_fortran, dtype = read(stream)
+    if any(size < 0 for size in shape):
+        raise ValueError(f"an array has shape {shape}")
+    return shape, is_fortran, dtype
 
 
 def _groups(layout: Layout) -> dict[str, tuple[str, ...]]:
@@ -88,40 +164,104 @@ def _array(values: Sequence[Any], kind: str) -> NDArray[Any]:
     return np.array([gap if value is None else value for value in values], dtype=_DTYPES[kind])
 
 
-def _split(group: str, names: Sequence[str], arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    """A matrix's columns by name."""
-    matrix = arrays.get(group)
-    if matrix is None or (group == "outcome" and matrix.ndim == 2 and not matrix.shape[1]):
-        return {}
-    if matrix.ndim != 2 or matrix.dtype.kind not in "iuf":
-        raise Invalid(f"{group} must be a matrix of numbers; got shape {matrix.shape} of {matrix.dtype}")
-    own = [name.partition(".")[2] for name in names]
-    given = arrays[f"{group}_names"].tolist() if f"{group}_names" in arrays else own
-    if len(given) != matrix.shape[1]:
-        raise Invalid(
-            f"{group} has {matrix.shape[1]} columns, but the names are: {', '.join(map(str, given)) or 'none'}"
-        )
-    return {f"{group}.{name}": matrix[:, place] for place, name in enumerate(given)}
+def _coordinates(archive: zipfile.ZipFile, names: set[str], matrix: _Member, own: Sequence[str]) -> list[str]:
+    """What a matrix's columns are."""
+    group, shape = matrix.name, matrix.shape
+    if group == "outcome" and len(shape) == 2 and not shape[1]:
+        return []
+    if len(shape) != 2 or matrix.dtype.kind not in "iuf":
+        raise Invalid(f"{group} must be a matrix of numbers; got shape {shape} of {matrix.dtype}")
+    given = [name.partition(".")[2] for name in own]
+    if f"{group}_names" in names:
+        with _complaints():
+            member = _Member(archive, f"{group}_names")
+            if len(member.shape) != 1 or member.shape[0] > _ROWS or member.dtype.kind != "U":
+                raise Invalid(f"{group}_names must be a list of text; got shape {member.shape} of {member.dtype}")
+            given = member.read(member.shape[0]).tolist()
+    if len(given) != shape[1]:
+        raise Invalid(f"{group} has {shape[1]} columns, but the names are: {', '.join(given) or 'none'}")
+    return given
 
 
-def _infos(arrays: Mapping[str, NDArray[Any]], count: int) -> list[str]:
-    if "info" not in arrays:
-        return [""] * count
-    lines = arrays["info"].tobytes().decode(errors="replace").split("\n")[:-1]
-    if len(lines) != count:
-        raise Invalid(f"info must have one line for each of {count} trials; got {len(lines)}")
-    return lines
+def _info(archive: zipfile.ZipFile, count: int) -> IO[bytes]:
+    """The lines of `info`, as many as there are trials."""
+    with _complaints():
+        member = _Member(archive, "info")
+        if len(member.shape) != 1 or member.dtype.itemsize != 1:
+            raise Invalid(f"info must be bytes; got shape {member.shape} of {member.dtype}")
+        found = 0
+        while piece := member.stream.read(_LONGEST_LINE):
+            found += piece.count(b"\n")
+        if found != count:
+            raise Invalid(f"info must have one line for each of {count} trials; got {found}")
+        return _Member(archive, "info").stream
 
 
 def _rows(
-    layout: Layout, columns: Mapping[str, NDArray[Any]], given: NDArray[Any] | None, infos: Sequence[str]
+    archive: zipfile.ZipFile,
+    layout: Layout,
+    members: Mapping[str, _Member],
+    places: Mapping[str, Sequence[str]],
+    info: IO[bytes] | None,
+    count: int,
 ) -> Iterator[Mapping[str, Any]]:
-    for place, info in enumerate(infos):
-        row = {name: column[place].item() for name, column in columns.items()}
-        for name, kind in layout.types.items():
-            if kind in ("int", "text") and row.get(name) == _GAPS[kind]:
-                row[name] = None
-        if given is not None and not given[place]:
-            row |= dict.fromkeys(layout.outcome)
-        row["info"] = info
-        yield row
+    with archive:
+        for first in range(0, count, _ROWS):
+            with _complaints():
+                chunk = {name: member.read(min(_ROWS, count - first)).tolist() for name, member in members.items()}
+            for place in range(min(_ROWS, count - first)):
+                row: dict[str, Any] = {}
+                for name, values in chunk.items():
+                    if name in places:
+                        row |= {f"{name}.{one}": values[place][j] for j, one in enumerate(places[name])}
+                    else:
+                        row[name] = values[place]
+                number = first + place + 1
+                worker_given = _given(row, "worker", number, unknown=False)
+                for name, kind in layout.read.items():
+                    if (
+                        kind in ("int", "text")
+                        and row.get(name) == _GAPS[kind]
+                        and not (name == "worker" and worker_given)
+                    ):
+                        row[name] = None
+                if not _given(row, "outcome", number, unknown=True):
+                    row |= dict.fromkeys(layout.outcome)
+                row["info"] = _line(info, number) if info is not None else None
+                yield row
+
+
+def _given(row: dict[str, Any], name: str, number: int, *, unknown: bool) -> bool:
+    """Whether a row has what could also be taken for a gap; takes the mark out of it."""
+    mark = f"{name}_given"
+    given = row.pop(mark, unknown)
+    try:
+        return flag(bool(given) if given in (0, 1) else given, mark)
+    except Invalid as error:
+        raise Invalid(f"row {number}: {error.message}", details={"row": number}) from error
+
+
+def _line(info: IO[bytes], number: int) -> str:
+    with _complaints():
+        line = info.readline(_LONGEST_LINE)
+    if not line.endswith(b"\n"):
+        raise Invalid(f"row {number}, column 'info': it has more than {_LONGEST_LINE} bytes")
+    try:
+        return line[:-1].decode()
+    except UnicodeDecodeError as error:
+        raise Invalid(f"row {number}, column 'info': it is not UTF-8: {shown(line)}") from error
+
+
+@contextmanager
+def _complaints() -> Iterator[None]:
+    """Turns whatever the readers of zip archives and of arrays say of a damaged file into `Invalid`."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno not in (None, errno.EINVAL):  # of the disk, not of a place that the file names
+            raise
+        raise Invalid(f"it is not npz: {error}") from error
+    except CrkrError:
+        raise
+    except Exception as error:  # they evaluate a header as Python, and so raise all that a parser may
+        raise Invalid(f"it is not npz: {error or type(error).__name__}") from error

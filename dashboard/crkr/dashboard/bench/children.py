@@ -50,7 +50,12 @@ def started(module: str, *arguments: str) -> Iterator[Program]:
     """Runs `python -m module arguments`, which says "ready" and, when its standard input ends, one JSON object."""
     command = [sys.executable, "-m", module, *arguments]
     with subprocess.Popen(
-        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env={**os.environ, **_ENVIRONMENT}
+        command,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**os.environ, **_ENVIRONMENT},
+        encoding="utf-8",
     ) as process:
         try:
             if process.stdout is None or process.stdout.readline() != "ready\n":
@@ -87,14 +92,14 @@ class Command:
             Unavailable: It ended, or does not say so.
         """
         deadline = time.monotonic() + _READY_S
-        while sign not in self._words.read_text(errors="replace"):
+        while sign not in self._words.read_text(errors="replace", encoding="utf-8"):
             self.check()
             if time.monotonic() > deadline:
                 raise Unavailable(f"crkr {self._name} was not ready within {_READY_S:.0f} s: {self._last_line()}")
             time.sleep(_LOOK_S)
 
     def _last_line(self) -> str:
-        lines = self._words.read_text(errors="replace").strip().splitlines()
+        lines = self._words.read_text(errors="replace", encoding="utf-8").strip().splitlines()
         return lines[-1].removeprefix("error: ") if lines else "it said nothing"
 
 

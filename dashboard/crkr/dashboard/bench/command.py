@@ -9,8 +9,8 @@ from typing import Annotated
 import typer
 
 from crkr.client.bench.figures import show
-from crkr.client.guard import require
-from crkr.client.options import Json
+from crkr.client.cli.error_lines import require
+from crkr.client.cli.options import Json
 
 __all__ = ["dashboard"]
 

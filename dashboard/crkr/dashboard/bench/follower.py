@@ -27,7 +27,7 @@ from crkr.dashboard.ports import choose_port
 from crkr.dashboard.progress import EpochResult, Progress, Row
 from crkr.dashboard.telemetry import Telemetry
 from crkr.dashboard.view import View
-from crkr.dashboard.watching import follow
+from crkr.dashboard.watch_loop import follow
 
 __all__ = ["Meter", "Nothing", "growth", "main"]
 
@@ -100,7 +100,7 @@ class Meter:
         self.lags.extend([after - moment for moment in received])
         self._fresh.clear()
         if STATM.exists() and (not self.sizes or after - self.sizes[-1][0] >= 1.0):
-            resident = int(STATM.read_text().split()[1]) * os.sysconf("SC_PAGESIZE")
+            resident = int(STATM.read_text(encoding="utf-8").split()[1]) * os.sysconf("SC_PAGESIZE")
             self.sizes.append((after, resident, progress.trials))
 
 

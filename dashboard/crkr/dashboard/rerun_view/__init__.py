@@ -2,7 +2,14 @@
 
 from __future__ import annotations
 
-from crkr.dashboard.rerun_view.display import RerunDisplay
-from crkr.dashboard.rerun_view.recording import Recording
+import os
+
+# A recording that was asked for is made, whatever the environment says: RERUN=off, common on build machines, leaves it
+# empty, and others of Rerun's variables abort the process, move the file or fill standard error.
+for _name in [name for name in os.environ if name.lstrip("_").startswith("RERUN")]:
+    del os.environ[_name]
+
+from crkr.dashboard.rerun_view.display import RerunDisplay  # noqa: E402 - after the variables
+from crkr.dashboard.rerun_view.recording import Recording  # noqa: E402 - after the variables
 
 __all__ = ["Recording", "RerunDisplay"]

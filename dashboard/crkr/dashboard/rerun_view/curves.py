@@ -6,19 +6,21 @@ from collections import defaultdict, deque
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from statistics import median
-from typing import Any, final
+from typing import Any, Final, final
 
 import rerun as rr
 
-from crkr.dashboard.facts import latency_ms
+from crkr.dashboard.names import Names
 from crkr.dashboard.progress import WINDOW, EpochResult, Progress, Row
 from crkr.dashboard.rerun_view.colours import CRITERIA, FAILURE, LINES, MEAN, NEUTRAL, SUCCESS, shade
 from crkr.dashboard.rerun_view.recording import Recording
+from crkr.dashboard.status_facts import latency_ms
 from crkr.dashboard.telemetry import Telemetry
 
 __all__ = ["Curves"]
 
 Path = tuple[str, ...]
+MAX_PHASES: Final = 16  # durations told apart
 
 
 @final
@@ -27,13 +29,15 @@ class Curves:
 
     Args:
         recording: Where to.
+        say: Told of what there is no place for.
 
     Attributes:
         waiting: Numbers that are not sent yet.
     """
 
-    def __init__(self, recording: Recording) -> None:
+    def __init__(self, recording: Recording, say: Callable[[str], object]) -> None:
         self._recording = recording
+        self._phases = Names("timed phases", MAX_PHASES, MAX_PHASES, say)
         self._styled: set[Path] = set()
         self._rows: dict[Path, list[tuple[int, int, float]]] = defaultdict(list)
         self._durations: dict[str, list[float]] = defaultdict(list)
@@ -69,16 +73,16 @@ class Curves:
                 self._point(("exploration", name), row, value, shade(colour, 0.4), f"{name}, each trial")
                 self._line(("exploration", f"{name}_mean"), row, sum(recent) / len(recent), colour, f"{name}, last 50")
         for name, duration in telemetry.timing_ms.items():
-            self._durations[name].append(duration)
+            self._durations[name if self._phases.has_place(name) else "other"].append(duration)
 
     def epoch(self, result: EpochResult, progress: Progress) -> None:
         """Success of one evaluation with its 95 % interval."""
         times = {"trial": result.trial, "epoch": result.epoch}
         for index, name in enumerate(progress.criteria):
-            if name not in result.judged:
+            if not result.tally.judged[name]:
                 continue
             colour = CRITERIA[index % len(CRITERIA)]
-            low, high = result.interval(name)
+            low, high = result.tally.interval(name)
             # The band is one standard deviation wide on each side of its middle, which is not quite the rate.
             band = rr.Measurements(
                 (low + high) / 2,
@@ -92,7 +96,7 @@ class Curves:
                 ("evaluation", name, "rate"),
                 times["trial"],
                 times["epoch"],
-                result.rate(name),
+                result.tally.rate(name),
                 partial(rr.SeriesLines, colors=colour, names=name, widths=2.5),
             )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections import deque
 from collections.abc import Mapping, Sequence
@@ -9,18 +10,20 @@ from typing import Any, Final, final
 
 import rerun as rr
 
-from crkr.dashboard.facts import speed
 from crkr.dashboard.progress import EpochResult, Progress, Row
 from crkr.dashboard.rerun_view.blueprint import arrangement
 from crkr.dashboard.rerun_view.curves import Curves
-from crkr.dashboard.rerun_view.documents import guide_page, outcomes_page, status_page
 from crkr.dashboard.rerun_view.recording import Recording
-from crkr.dashboard.rerun_view.stage import Stage
+from crkr.dashboard.rerun_view.robots import Stage
+from crkr.dashboard.rerun_view.text_panels import guide_page, outcomes_page, status_page
+from crkr.dashboard.status_facts import speed
 from crkr.dashboard.telemetry import Telemetry
 from crkr.dashboard.view import NOT_STORED
+from crkr.protocol import printable
 
 __all__ = ["RerunDisplay"]
 
+_logger = logging.getLogger(__name__)
 NUMBERS_EVERY_S: Final = 0.5  # small chunks cost a viewer far more than what they hold
 MOST_NUMBERS: Final = 50_000  # some megabytes
 PAGES_EVERY_S: Final = 1.0
@@ -43,14 +46,14 @@ class RerunDisplay:
         recording.layout(
             arrangement(replayed=replayed)
         )  # first: a viewer that has data and no layout makes up one of its own
-        self._stage = Stage(recording)
-        self._curves = Curves(recording)
+        self._times: dict[str, int] = {"trial": 0, "epoch": 0}
+        self._stage = Stage(recording, self._warn)
+        self._curves = Curves(recording, self._warn)
         self._status: Mapping[str, Any] = {}
         self._answered = 0.0
         self._next_numbers = self._next_pages = 0.0
         self._pages: dict[str, str] = {}
         self._speed: deque[tuple[float, int]] = deque(maxlen=10)
-        self._times: dict[str, int] = {"trial": 0, "epoch": 0}
 
     def task(self, description: str) -> None:
         """Writes the page that explains the panels."""
@@ -71,8 +74,8 @@ class RerunDisplay:
         """Adds a point to the learning curve."""
         self._curves.epoch(result, progress)
         rates = ", ".join(
-            f"{name} {result.rate(name):.2f} [{result.interval(name)[0]:.2f}, {result.interval(name)[1]:.2f}]"
-            for name in result.judged
+            f"{name} {result.tally.rate(name):.2f} [{low:.2f}, {high:.2f}]"
+            for name, (low, high) in result.tally.intervals().items()
         )
         self.say(f"epoch {result.epoch}: {rates} of {result.balls} evaluation trials")
 
@@ -85,7 +88,11 @@ class RerunDisplay:
     def say(self, message: str, *, warning: bool = False) -> None:
         """Adds a line to the log panel."""
         level = rr.TextLogLevel.WARN if warning else rr.TextLogLevel.INFO
-        self._recording.at(self._times, ["log"], rr.TextLog(message, level=level))
+        self._recording.at(self._times, ["log"], rr.TextLog(printable(message), level=level))
+
+    def _warn(self, message: str) -> None:
+        _logger.warning("%s", message)
+        self.say(message, warning=True)
 
     def tick(self, now: float, progress: Progress) -> None:
         """Sends what is due."""

@@ -6,7 +6,8 @@
 
 A radius depends on better samples only. So a new sample finds its own radius, and shrinks those of the worse ones it
 is nearer to than their suppressors: one pass, O(n d), in which about one radius changes whatever n is. Removing or
-re-costing a sample concerns only those whose suppressor it is. Density-peak clustering keeps the same quantity, which
+re-costing a sample concerns only those whose suppressor it is, a pass each; where one suppresses very many, as among
+equal states, all radii are made anew, which costs less. Density-peak clustering keeps the same quantity, which
 it calls the dependent distance, while its data change [Amagata2023].
 """
 
@@ -63,26 +64,39 @@ class Anms:
         for z, cost in zip(Z, costs, strict=True):
             self._insert(z, float(cost))
 
-    def remove(self, index: int) -> None:
-        """Forgets one sample; those it suppressed look for another suppressor."""
-        self._c.rows[index], self._r2.rows[index] = np.nan, -1.0
-        widowed = np.flatnonzero(self._sup.rows == index)
-        self._sup.rows[index] = -1
+    def remove(self, indices: Indices | int) -> None:
+        """Forgets samples; those they suppressed look for other suppressors, or all radii are made anew."""
+        gone = np.atleast_1d(indices)
+        sup = self._sup.rows
+        widowed = np.flatnonzero(np.isin(sup, gone))
+        self._c.rows[gone], self._r2.rows[gone], sup[gone] = np.nan, -1.0, -1
+        widowed = widowed[~np.isin(widowed, gone)]
+        if len(widowed) > _BATCH:
+            self.rebuild(self._Z.rows.copy(), self._c.rows.copy())
+            return
         self._search(widowed)
-        self._reserve.update(self._r2.rows, np.append(widowed, index))
+        self._reserve.update(self._r2.rows, np.append(widowed, gone))
 
-    def recost(self, index: int, cost: float) -> None:
-        """Changes one cost: the sample's own radius, those it suppressed and those it suppresses now."""
+    def recost(self, indices: Indices | int, costs: Array | float) -> None:
+        """Changes costs: the samples' own radii, of those they suppressed and of those they suppress now."""
+        changed = np.atleast_1d(indices)
         c, r2, sup = self._c.rows, self._r2.rows, self._sup.rows
-        c[index] = cost
-        suppressed = np.flatnonzero(sup == index)
-        freed = suppressed[~self._is_better(index, suppressed)]
-        self._search(np.append(freed, index))
-        d2 = squared_distances(self._Z.rows[index : index + 1], self._Z.rows)[0]
-        nearer = np.flatnonzero((d2 < r2) | ((d2 == r2) & (index < sup)))
-        nearer = nearer[self._is_better(index, nearer)]
-        r2[nearer], sup[nearer] = d2[nearer], index
-        self._reserve.update(r2, np.concatenate([freed, nearer, [index]]))
+        c[changed] = costs
+        suppressed = np.flatnonzero(np.isin(sup, changed))
+        freed = suppressed[~self._is_better(sup[suppressed], suppressed)]
+        lost = np.union1d(freed, changed)
+        if len(lost) + len(changed) > _BATCH:
+            self.rebuild(self._Z.rows.copy(), c.copy())
+            return
+        self._search(lost)
+        touched = [lost]
+        for index in changed:
+            d2 = squared_distances(self._Z.rows[index : index + 1], self._Z.rows)[0]
+            nearer = np.flatnonzero((d2 < r2) | ((d2 == r2) & (index < sup)))
+            nearer = nearer[self._is_better(index, nearer)]
+            r2[nearer], sup[nearer] = d2[nearer], index
+            touched.append(nearer)
+        self._reserve.update(r2, np.concatenate(touched))
 
     def rebuild(self, Z: Array, costs: Array, radii: Radii | None = None) -> None:
         """Takes these samples; without their radii, in about n log n. A cost of NaN marks a removed one."""
@@ -162,9 +176,9 @@ class Anms:
             d2 = squared_distances(self._Z.rows[index : index + 1], self._Z.rows)[0]
             self._r2.rows[index], self._sup.rows[index] = _nearest(d2, better)
 
-    def _is_better(self, index: int, others: Indices) -> Mask:
+    def _is_better(self, these: Indices | int, others: Indices) -> Mask:
         c = self._c.rows
-        better: Mask = (c[index] < c[others]) | ((c[index] == c[others]) & (index < others))
+        better: Mask = (c[these] < c[others]) | ((c[these] == c[others]) & (these < others))
         return better
 
 

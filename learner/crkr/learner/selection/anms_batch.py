@@ -24,6 +24,7 @@ Indices = NDArray[np.int64]
 
 _BRUTE_FORCE: Final = 128  # samples
 _LEAF: Final = 24  # samples in a leaf of a tree
+_CROWD: Final = 16  # neighbours a sample that are looked at together
 _SAFETY: Final = 1.0 + 1e-9  # the tree rounds distances in its own way
 
 
@@ -61,7 +62,7 @@ def radii_kdtree(Z: Array, c: Array) -> tuple[Array, Indices]:
         else:
             middle = (start + stop) // 2
             blocks += [(start, middle), (middle, stop)]
-            better, worse, d2 = _across(X[start:middle], X[middle:stop])
+            better, worse, d2 = _across(X[start:middle], X[middle:stop], order[start:middle])
             better, worse = better + start, worse + middle
         _keep_nearest(r2, suppressor, order[worse], order[better], d2)
     return r2, suppressor
@@ -75,20 +76,45 @@ def _inside(X: Array) -> tuple[Indices, Indices, Array]:
     return better, worse, d2[worse, better]
 
 
-def _across(better: Array, worse: Array) -> tuple[Indices, Indices, Array]:
-    """The same between two blocks: nearest neighbours, all of them where the tree's rounding leaves a choice."""
+def _across(better: Array, worse: Array, age: Indices) -> tuple[Indices, Indices, Array]:
+    """The same between two blocks: nearest neighbours, all of them where the tree's rounding leaves a choice.
+
+    Where that would be very many, as among a few states that come again and again, each state is looked at once: the
+    oldest of equal better ones, by `age`, may set a radius, and equal worse ones have it in common.
+    """
     tree, along = KDTree(better, _LEAF), KDTree(worse, _LEAF).indices  # neighbours in turn: a third of the time
     distance, neighbour = tree.query(worse[along], k=2)
     pairs = [(neighbour[:, 0], along)]
     unsure = (distance[:, 1] <= distance[:, 0] * _SAFETY) & (distance[:, 0] > 0)
     if unsure.any():
-        balls = tree.query_ball_point(worse[along[unsure]], distance[unsure, 0] * _SAFETY)
+        around, reach = worse[along[unsure]], distance[unsure, 0] * _SAFETY
+        if tree.query_ball_point(around, reach, return_length=True).sum() > _CROWD * len(worse):
+            return _among_equals(better, worse, age)
+        balls = tree.query_ball_point(around, reach)
         pairs.append((np.concatenate(balls).astype(np.int64), np.repeat(along[unsure], [len(ball) for ball in balls])))
     left, right = (np.concatenate(side) for side in zip(*pairs, strict=True))
     d2 = np.zeros(len(left))
     for dimension in range(better.shape[1]):  # in this order the sum has the bits of `squared_distances`
         d2 += (better[left, dimension] - worse[right, dimension]) ** 2
     return left, right, d2
+
+
+def _among_equals(better: Array, worse: Array, age: Indices) -> tuple[Indices, Indices, Array]:
+    """One pair for each of the worse, found among different states only."""
+    oldest = age.argsort()
+    states, first = np.unique(better[oldest], axis=0, return_index=True)  # the first of equal ones is the oldest
+    oldest = oldest[first]
+    states, oldest = states[np.argsort(age[oldest])], oldest[np.argsort(age[oldest])]
+    asked, members = np.unique(worse, axis=0, return_inverse=True)
+    tree = KDTree(states, _LEAF)
+    nearest, d2 = np.empty(len(asked), dtype=np.int64), np.empty(len(asked))
+    reach = tree.query(asked)[0] * _SAFETY
+    for index, ball in enumerate(map(tree.query_ball_point, asked, reach)):
+        near = np.sort(np.array(ball, dtype=np.int64))
+        distances = squared_distances(asked[index : index + 1], states[near])[0]
+        nearest[index], d2[index] = near[distances.argmin()], distances.min()
+    members = members.reshape(-1)
+    return oldest[nearest[members]], np.arange(len(worse)), d2[members]
 
 
 def _keep_nearest(r2: Array, suppressor: Indices, of: Indices, candidate: Indices, d2: Array) -> None:

@@ -25,12 +25,12 @@ class ArrivalOrder:
         """Numbers `count` new samples."""
         self._alive.extend(np.ones(count, dtype=np.bool_))
 
-    def remove(self, index: int) -> None:
-        """Forgets one sample."""
-        self._alive.rows[index] = False
+    def remove(self, indices: Indices | int) -> None:
+        """Forgets samples."""
+        self._alive.rows[indices] = False
 
-    def first(self, count: int | None) -> Indices:
-        """The oldest `count` (None: all) that are there, read-only; the same object while they stay the same."""
+    def first(self, count: int) -> Indices:
+        """The oldest `count` that are there, read-only; the same object while they stay the same."""
         oldest = np.flatnonzero(self._alive.rows)[:count]
         if not np.array_equal(oldest, self._first):
             oldest.setflags(write=False)

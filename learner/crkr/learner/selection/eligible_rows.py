@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final
 
@@ -60,18 +61,18 @@ class Selection:
             self._selector.extend(self._standardised(rows), self._store.costs[rows])
             self._update()
 
-    def remove(self, row: int) -> None:
-        """Forgets a row; one that is not eligible is none of its business."""
-        number = self._number(row)
-        if number is not None:
-            self._selector.remove(number)
+    def remove(self, rows: Sequence[int]) -> None:
+        """Forgets rows; those that are not eligible are none of its business."""
+        numbers = self._known(rows)
+        if len(numbers):
+            self._selector.remove(numbers)
             self._update()
 
-    def recost(self, row: int) -> None:
-        """Takes note of a row's new cost."""
-        number = self._number(row)
-        if number is not None:
-            self._selector.recost(number, float(self._store.costs[row]))
+    def recost(self, rows: Sequence[int]) -> None:
+        """Takes note of rows' new costs."""
+        numbers = self._known(rows)
+        if len(numbers):
+            self._selector.recost(numbers, self._store.costs[self._rows.rows[numbers]])
             self._update()
 
     def set_budget(self, budget: int) -> None:
@@ -108,6 +109,10 @@ class Selection:
 
     def _standardised(self, rows: Indices) -> Array:
         return self._metric.standardise(self._store.states[rows])
+
+    def _known(self, rows: Sequence[int]) -> Indices:
+        numbers = (self._number(row) for row in rows)
+        return np.array([number for number in numbers if number is not None], dtype=np.int64)
 
     def _number(self, row: int) -> int | None:
         rows = self._rows.rows

@@ -7,7 +7,7 @@ from typing import final
 from crkr.learner.selection.anms_batch import Indices
 from crkr.learner.selection.arrival_order import ArrivalOrder
 from crkr.learner.selection.selector import Radii, Standing
-from crkr.protocol import Array
+from crkr.protocol import MOST_KEPT, Array
 
 __all__ = ["FirstCome"]
 
@@ -17,11 +17,12 @@ class FirstCome:
     """The first `budget` samples are active; later ones only fill the places of removed ones. Make it by name.
 
     `freeze` stops learning when the budget is full. `full` keeps everything, Cost-regularized Kernel Regression as it
-    was before there was a filter: a step costs O(n^2), and a prediction too.
+    was before there was a filter: a step costs O(n^2), and a prediction too. Hence it stops at `MOST_KEPT` samples,
+    whatever the budget.
     """
 
-    def __init__(self, budget: int | None) -> None:
-        self._budget = budget
+    def __init__(self, budget: int, bounded: bool = True) -> None:
+        self._budget, self._bounded = budget, bounded
         self._order = ArrivalOrder()
 
     @classmethod
@@ -32,9 +33,9 @@ class FirstCome:
 
     @classmethod
     def full(cls, dimensions: int, budget: int) -> FirstCome:
-        """All samples, whatever the budget."""
+        """All samples, up to `MOST_KEPT`."""
         del dimensions, budget  # Unused; the interface's.
-        return cls(None)
+        return cls(MOST_KEPT, bounded=False)
 
     @property
     def active(self) -> Indices:
@@ -46,11 +47,11 @@ class FirstCome:
         del Z  # Unused.
         self._order.extend(len(costs))
 
-    def remove(self, index: int) -> None:
-        """Forgets one sample; the next oldest takes its place."""
-        self._order.remove(index)
+    def remove(self, indices: Indices | int) -> None:
+        """Forgets samples; the next oldest take their places."""
+        self._order.remove(indices)
 
-    def recost(self, index: int, cost: float) -> None:
+    def recost(self, indices: Indices | int, costs: Array | float) -> None:
         """Changes nothing: costs do not matter here."""
 
     def rebuild(self, Z: Array, costs: Array, radii: Radii | None = None) -> None:
@@ -61,7 +62,7 @@ class FirstCome:
 
     def set_budget(self, budget: int) -> None:
         """Makes room for more, or lets the youngest go, where there is a budget at all."""
-        if self._budget is not None:
+        if self._bounded:
             self._budget = budget
 
     def standing(self, index: int) -> Standing:

@@ -57,12 +57,12 @@ class Selector(Protocol):
         """Adds samples (n, d) with costs (n,)."""
         ...
 
-    def remove(self, index: int) -> None:
-        """Forgets one sample; its number is not used again."""
+    def remove(self, indices: Indices | int) -> None:
+        """Forgets samples, which must be there; their numbers are not used again."""
         ...
 
-    def recost(self, index: int, cost: float) -> None:
-        """Changes the cost of one sample; its age stays."""
+    def recost(self, indices: Indices | int, costs: Array | float) -> None:
+        """Changes the costs of samples, each named once; their age stays."""
         ...
 
     def rebuild(self, Z: Array, costs: Array, radii: Radii | None = None) -> None:

@@ -76,7 +76,7 @@ def trial_of(row: tuple[Any, ...]) -> LoggedTrial:
             outcome=None if outcome is None else np.frombuffer(outcome, "<f8"),
             worker=worker,
             model_version=model_version,
-            info=unpack(info) if info else {},
+            info=unpack(info, depth=None) if info else {},
         )
     except (ValueError, TypeError, IndexError, CrkrError) as error:
         raise StorageError(f"the trial at log position {seq} is damaged: {error}; restore a backup") from error
@@ -108,7 +108,7 @@ def wire_of(row: tuple[Any, ...]) -> dict[str, Any]:
     if model_version is not None:
         entry["model_version"] = model_version
     if info:
-        entry["info"] = unpack(info)
+        entry["info"] = unpack(info, depth=None)
     if gone:
         entry["removed"] = True
     return entry

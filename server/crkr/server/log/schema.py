@@ -5,12 +5,24 @@ from __future__ import annotations
 import sqlite3
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from typing import Final
 
 from crkr.protocol import StorageError
+from crkr.server.log.data_files import check_database_files
+from crkr.server.log.file_system import LOCAL_DISK, on_file_system
 
-__all__ = ["FILE_NAME", "SCHEMA_VERSION", "check_version", "connect", "open_database", "read_errors", "storage_errors"]
+__all__ = [
+    "FILE_NAME",
+    "SCHEMA_VERSION",
+    "check_schema",
+    "check_version",
+    "connect",
+    "open_database",
+    "read_errors",
+    "storage_errors",
+]
 
 FILE_NAME: Final = "crkr.sqlite3"
 SCHEMA_VERSION: Final = 2  # since which a digest covers the whole row; rows of the first version are read as they are
@@ -37,9 +49,18 @@ CREATE TABLE IF NOT EXISTS cache (task INTEGER PRIMARY KEY, version INTEGER NOT 
     digest BLOB NOT NULL)
 """
 
+_RESTORE: Final = "somebody changed it; restore a backup"
 
 # The statements are right: where SQLite finds an error in one, the tables are not those that were made.
 _DAMAGED: Final = ("SQLITE_CORRUPT", "SQLITE_CORRUPT_INDEX", "SQLITE_NOTADB", "SQLITE_ERROR")
+# What SQLite fails with where the file system has no locks, or no memory that processes share.
+_UNLOCKABLE: Final = ("SQLITE_IOERR_LOCK", "SQLITE_IOERR_RDLOCK", "SQLITE_IOERR_UNLOCK", "SQLITE_NOLFS")
+_UNLOCKABLE_STARTS: Final = ("SQLITE_IOERR_SHM", "SQLITE_PROTOCOL")
+# Statistics of the query planner, which ANALYZE leaves and which change no answer.
+_STATISTICS: Final = {
+    "sqlite_stat1": "CREATE TABLE sqlite_stat1(tbl,idx,stat)",
+    "sqlite_stat4": "CREATE TABLE sqlite_stat4(tbl,idx,neq,nlt,ndlt,sample)",
+}
 
 
 @contextmanager
@@ -51,6 +72,10 @@ def storage_errors(doing: str) -> Iterator[None]:
         name = str(getattr(error, "sqlite_errorname", ""))
         undecodable = not name and isinstance(error, sqlite3.OperationalError)  # text that is none
         advice = "; restore a backup" if undecodable or name in _DAMAGED else ""
+        if name == "SQLITE_READONLY_ROLLBACK":
+            advice = "; a server that starts on it undoes what was interrupted"
+        if name in _UNLOCKABLE or name.startswith(_UNLOCKABLE_STARTS):
+            advice = f"; its file system may lack locks or shared memory: {LOCAL_DISK}"
         raise StorageError(f"cannot {doing}: {error}{name and f' ({name})'}{advice}") from error
 
 
@@ -65,7 +90,12 @@ def read_errors(doing: str) -> Iterator[None]:
 
 
 def connect(path: Path, *, read_only: bool = False) -> sqlite3.Connection:
-    """A connection with the log's settings; transactions are begun by hand."""
+    """A connection with the log's settings; transactions are begun by hand.
+
+    Raises:
+        StorageError: The database or a file beside it is no plain file.
+    """
+    check_database_files(path)
     mode = "ro" if read_only else "rwc"
     connection = sqlite3.connect(
         f"{path.absolute().as_uri()}?mode={mode}",
@@ -75,6 +105,10 @@ def connect(path: Path, *, read_only: bool = False) -> sqlite3.Connection:
         check_same_thread=False,
     )
     connection.execute("PRAGMA cache_size = -65536")  # 64 MiB keeps the id index of a million trials in memory
+    connection.execute("PRAGMA trusted_schema = OFF")  # a prepared database runs no function with side effects
+    connection.execute("PRAGMA cell_size_check = ON")
+    if hasattr(connection, "setconfig"):  # from Python 3.12
+        connection.setconfig(getattr(sqlite3, "SQLITE_DBCONFIG_DEFENSIVE"))  # noqa: B009  # 3.11's stub lacks it
     return connection
 
 
@@ -98,7 +132,7 @@ def check_version(connection: sqlite3.Connection, path: Path) -> bool:
     """Whether there is a log already.
 
     Raises:
-        StorageError: The database is another program's, or of a newer version.
+        StorageError: The database is another program's, of a newer version, or holds other tables than ours.
     """
     version = int(connection.execute("PRAGMA user_version").fetchone()[0])
     application = int(connection.execute("PRAGMA application_id").fetchone()[0])
@@ -109,12 +143,55 @@ def check_version(connection: sqlite3.Connection, path: Path) -> bool:
         raise StorageError(
             f"the task log {path} has schema version {version}, this crkr knows {SCHEMA_VERSION}: use a newer crkr"
         )
+    if tables:
+        check_schema(connection, path)
     return tables > 0
+
+
+def check_schema(connection: sqlite3.Connection, path: Path) -> None:
+    """Compares tables and indexes with those that crkr makes, before anything is read from them.
+
+    A trigger would change what was just acknowledged, and a view in a table's place may have no end.
+
+    Raises:
+        StorageError: One is missing, changed, or not crkr's. Only the cache may be missing.
+    """
+    found = _objects(connection)
+    for (kind, name), (_, definition) in found.items():
+        if (kind, name) not in _expected() and (kind, _STATISTICS.get(name)) != ("table", definition):
+            raise StorageError(f"the task log {path} holds a {kind} {name!r}, which crkr does not make; {_RESTORE}")
+    for (kind, name), made in _expected().items():
+        if (kind, name) not in found and name != "cache":
+            raise StorageError(f"the task log {path} lacks its {kind} {name!r}; restore a backup")
+        if found.get((kind, name), made) != made:
+            raise StorageError(f"the {kind} {name!r} of the task log {path} is not as crkr makes it; {_RESTORE}")
+
+
+def _objects(connection: sqlite3.Connection) -> dict[tuple[str, str], tuple[str, str]]:
+    """(type, name) -> the table it belongs to, and its definition with single spaces."""
+    rows = connection.execute("SELECT type, name, tbl_name, coalesce(sql, '') FROM sqlite_master")
+    return {(str(kind), str(name)): (str(table), " ".join(str(sql).split())) for kind, name, table, sql in rows}
+
+
+@cache
+def _expected() -> dict[tuple[str, str], tuple[str, str]]:
+    """What SQLite keeps of our own statements."""
+    connection = sqlite3.connect(":memory:")
+    try:
+        connection.executescript(TABLES + CACHE)
+        return _objects(connection)
+    finally:
+        connection.close()
 
 
 def _prepare(connection: sqlite3.Connection, path: Path) -> None:
     exists = check_version(connection, path)
-    connection.execute("PRAGMA journal_mode = WAL")
+    mode = connection.execute("PRAGMA journal_mode = WAL").fetchone()[0]
+    if mode != "wal":
+        raise StorageError(
+            f"the task log {path} cannot have a write-ahead log there{on_file_system(path)}, which takes memory that "
+            f"processes share; {LOCAL_DISK}"
+        )
     connection.execute("PRAGMA synchronous = FULL")
     if not exists:
         connection.executescript(

@@ -8,17 +8,20 @@ import sqlite3
 import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any, Final, final
 
 from crkr.protocol import Conflict, StorageError, TaskSpec, Trial, id_from_wire, pack, unpack
+from crkr.server.log.acknowledged_count import TALLY_NAME, Tally, lost_end, read_tally
+from crkr.server.log.data_files import check_database_files, identities, identity
 from crkr.server.log.directory_lock import DirectoryLock
 from crkr.server.log.entries import Event, LoggedTrial, PendingReport, Stored
+from crkr.server.log.file_system import LOCAL_DISK, file_system_of, is_remote
+from crkr.server.log.journal_check import refuse_foreign_journal
 from crkr.server.log.rows import DIGEST_BYTES, ROW_COLUMNS, TRIAL_COLUMNS, body_digest, changed_digest, trial_row
-from crkr.server.log.schema import FILE_NAME, open_database, storage_errors
+from crkr.server.log.schema import FILE_NAME, check_schema, connect, open_database, storage_errors
 from crkr.server.log.sqlite_reader import SqliteReader
-from crkr.server.log.tally import TALLY_NAME, Tally, lost_end, read_tally
 
 __all__ = ["SqliteLog"]
 
@@ -27,6 +30,7 @@ logger = logging.getLogger(__name__)
 _INSERT: Final = f"INSERT INTO trial (task, {TRIAL_COLUMNS}) VALUES ({', '.join('?' * 14)})"
 _FIND: Final = "SELECT seq, digest FROM trial WHERE task = ? AND id = ?"
 _ROW: Final = f"SELECT {ROW_COLUMNS} FROM trial WHERE task = ? AND id = ?"
+_TICK_NS: Final = 100_000_000  # longer than any file system's clock takes for a step
 _CLOSE_PATIENCE_S: Final = 0.5  # with a commit that is under way
 _MARK: Final = "UPDATE trial SET present_cost = ?, removed = ?, digest = ? WHERE task = ? AND id = ?"
 
@@ -44,15 +48,23 @@ class SqliteLog:
         with ExitStack() as undo:
             self._lock = DirectoryLock(directory)
             undo.callback(self._lock.release)
+            if is_remote(kind := file_system_of(directory)):
+                logger.warning("data directory %s is on %s, whose locks may fail; %s", directory, kind, LOCAL_DISK)
+            check_database_files(self.path, writing=True)
+            if refuse_foreign_journal(self.path):
+                _play_back(self.path)
             _refuse_what_lost_its_end(self.path)
             self._writer = open_database(self.path)
             undo.callback(self._writer.close)
-            self._file = _file_at(self.path)
+            self._files = identities(self.path)
+            self._where = str(directory)
+            self._directory: tuple[int, int, int] | None = None  # as it was when all names were looked at
             self.reads = SqliteReader(self.path)
             undo.callback(self.reads.close)
             self._last = self.reads.positions()
             with storage_errors(f"list the tasks of {self.path}"):
                 self._keys: dict[str, int] = dict(self._writer.execute("SELECT name, id FROM task"))
+            self._data_version = self._read_data_version()
             self._positions, self._added = sum(self._last.values()), 0
             self._tally = Tally(directory, self._positions)
             undo.pop_all()
@@ -71,7 +83,7 @@ class SqliteLog:
 
     def append_reports(self, reports: Sequence[PendingReport]) -> list[Stored | Conflict]:
         """Stores several reports in one transaction; a report in conflict leaves the others alone."""
-        last = dict(self._last)
+        last = {report.task: self._last[report.task] for report in reports}
         with self._transaction("store trials") as connection:
             now = time.time()
             results: list[Stored | Conflict] = []
@@ -81,7 +93,7 @@ class SqliteLog:
                     last[report.task] = result.fresh[-1].seq
                     self._added += len(result.fresh)
                 results.append(result)
-        self._last = last
+        self._last.update(last)
         return results
 
     def _append_report(
@@ -164,14 +176,11 @@ class SqliteLog:
         with self._writing, storage_errors(doing):
             if self._closing:
                 raise StorageError(f"cannot {doing}: the task log is closed")
-            if _file_at(self.path) != self._file:  # what SQLite stored now would be nowhere after the end
-                raise StorageError(
-                    f"cannot {doing}: the task log {self.path} was moved, removed or replaced while the server runs; "
-                    "put it back, or restart the server"
-                )
+            self._refuse_moved_files(doing)
             self._writer.execute("BEGIN IMMEDIATE")
             self._added = 0
             try:
+                self._refuse_changes_of_others(doing)
                 yield self._writer
                 self._writer.execute("COMMIT")
                 self._positions += self._added
@@ -183,6 +192,53 @@ class SqliteLog:
             finally:
                 self._end_if_closing()
 
+    def _refuse_moved_files(self, doing: str) -> None:
+        """What SQLite stored in a file that has lost its name would be nowhere after the end.
+
+        A directory's time of change tells for all names in it, but not of two changes in one tick of the clock.
+        """
+        directory = self._look_at_directory()
+        if directory is not None and directory == self._directory:
+            return
+        moved = [name for name, which in self._files.items() if identity(name) != which]
+        if not moved:
+            self._lock.check()
+            settled = directory is not None and time.time_ns() - directory[2] > _TICK_NS
+            self._directory = directory if settled else None
+            return
+        if str(self.path) not in moved:
+            with suppress(sqlite3.Error):  # what only the lost file holds is brought into the database
+                self._writer.execute("PRAGMA wal_checkpoint(FULL)")
+        raise StorageError(
+            f"cannot {doing}: the task log {moved[0]} was moved, removed or replaced while the server runs; put it "
+            "back, or restart the server"
+        )
+
+    def _look_at_directory(self) -> tuple[int, int, int] | None:
+        """Which directory that is, and when a name in it changed last [ns]."""
+        try:
+            found = os.stat(self._where)
+        except OSError:
+            return None
+        return found.st_dev, found.st_ino, found.st_mtime_ns
+
+    def _refuse_changes_of_others(self, doing: str) -> None:
+        """Notices inside a transaction that another process wrote, by the one number that SQLite keeps of that."""
+        version = self._read_data_version()
+        if version == self._data_version:
+            return
+        check_schema(self._writer, self.path)
+        if self.reads.positions() != self._last:
+            raise StorageError(
+                f"cannot {doing}: another program added to or removed from the task log {self.path} while the server "
+                "runs; restart the server"
+            )
+        logger.warning("another program wrote to %s while the server runs; the entries are as they were", self.path)
+        self._data_version = version
+
+    def _read_data_version(self) -> int:
+        return int(self._writer.execute("PRAGMA data_version").fetchone()[0])
+
     def _end_if_closing(self) -> None:
         """What was committed is: an end that goes wrong is no failure of it."""
         if self._closing:
@@ -192,19 +248,20 @@ class SqliteLog:
                 logger.warning("the task log was not closed cleanly: %s", error.message)
 
 
-def _file_at(path: Path) -> tuple[int, int] | None:
-    """Which file that is; None where there is none."""
-    try:
-        found = os.stat(path)
-    except OSError:
-        return None
-    return found.st_dev, found.st_ino
+def _play_back(path: Path) -> None:
+    """Lets SQLite undo a change that was interrupted, which it does before it reads anything."""
+    with storage_errors(f"undo what was interrupted in the task log {path}"):
+        connection = connect(path)
+        try:
+            connection.execute("SELECT count(*) FROM sqlite_master").fetchone()
+        finally:
+            connection.close()
 
 
 def _refuse_what_lost_its_end(path: Path) -> None:
     """Before the database is opened for writing, which lets SQLite throw away what it cannot read."""
     acknowledged, held = read_tally(path.parent), 0
-    if acknowledged and path.is_file() and path.stat().st_size:
+    if path.is_file() and path.stat().st_size:
         reader = SqliteReader(path)
         try:
             held = sum(reader.positions().values())
@@ -223,7 +280,7 @@ def _insert_event(connection: sqlite3.Connection, key: int, seq: int, kind: str,
         "INSERT INTO event (task, seq, time, kind, body, digest) VALUES (?, ?, ?, ?, ?, ?)",
         (key, seq, now, kind, data, body_digest(kind, data)),
     )
-    return Event(seq, now, kind, unpack(data))
+    return Event(seq, now, kind, unpack(data, depth=None))
 
 
 def _mark(

@@ -7,6 +7,7 @@ import sqlite3
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from itertools import chain, takewhile
 from pathlib import Path
 from typing import Any, Final, final
 from uuid import UUID
@@ -16,7 +17,9 @@ import numpy as np
 from crkr.learner import TrialColumns
 from crkr.protocol import StorageError, UnknownTask, unpack
 from crkr.server.log.blocks import BLOCK_COLUMNS, columns_of
+from crkr.server.log.data_files import check_database_files
 from crkr.server.log.entries import Event, LoggedTrial
+from crkr.server.log.journal_check import refuse_foreign_wal
 from crkr.server.log.rows import ROW_COLUMNS, body_digest, check_row, trial_of, wire_of
 from crkr.server.log.schema import check_version, connect, read_errors, storage_errors
 
@@ -47,13 +50,20 @@ class SqliteReader:
     """
 
     def __init__(self, path: Path) -> None:
+        check_database_files(path)
         if not path.is_file() or not path.stat().st_size:  # beside an empty database SQLite deletes the write-ahead log
             raise StorageError(f"there is no task log {path}")
         self.path = path
         self._threads = threading.local()
         self._open: list[tuple[threading.Thread, sqlite3.Connection]] = []
-        with read_errors(f"open the task log {path}"):
-            self.is_log: Final = check_version(self._connection(), path)
+        try:
+            with read_errors(f"open the task log {path}"):
+                self.is_log: Final = check_version(self._connection(), path)
+                if self.is_log:
+                    refuse_foreign_wal(self._connection(), path)
+        except StorageError:
+            self.close()
+            raise
 
     def tasks(self) -> tuple[str, ...]:
         """Names of all tasks, oldest first."""
@@ -91,7 +101,7 @@ class SqliteReader:
         """All entries past a log position, in order; raises `StorageError` at the first that is damaged or missing."""
         with read_errors(f"read the log of task {task!r}"):
             connection, key = self._connection(), self._key(task)
-            events = iter([_event(row) for row in connection.execute(_READ_EVENTS, (key, after))])
+            events = map(_event, connection.execute(_READ_EVENTS, (key, after)))  # one at a time: each may be large
             event = next(events, None)
             expected = after
             for row in connection.execute(_READ_TRIALS, (key, after)):
@@ -112,9 +122,10 @@ class SqliteReader:
         """The entries up to a log position as `read` gives them, neighbouring trials together; many times quicker."""
         with read_errors(f"read the log of task {task!r}"):
             connection, key = self._connection(), self._key(task)
-            events = [_event(row) for row in connection.execute(_READ_EVENTS, (key, 0))]
+            events = map(_event, connection.execute(_READ_EVENTS, (key, 0)))
+            wanted: Iterator[Event] = takewhile(lambda one: one.seq <= upto, events)
             expected = 0
-            for event in [*(event for event in events if event.seq <= upto), None]:
+            for event in chain(wanted, (None,)):
                 before = upto + 1 if event is None else event.seq
                 cursor = connection.execute(_READ_BLOCKS, (key, expected, before))
                 while rows := cursor.fetchmany(_BLOCK):
@@ -134,7 +145,7 @@ class SqliteReader:
         size = 0
         with read_errors(f"read samples of task {task!r}"):
             for row in self._connection().execute(_PAGE, (self._key(task), after, limit + 1)):
-                size += _ROW_BYTES + sum(len(value) for value in row if isinstance(value, bytes | str))
+                size += _ROW_BYTES + sum(_bytes(value) for value in row)
                 if entries and (len(entries) == limit or size > most_bytes):
                     return entries, int(entries[-1]["seq"])
                 entries.append(wire_of(row))
@@ -181,6 +192,9 @@ class SqliteReader:
         partial = target.with_name(f"{target.name}.{os.getpid()}.partial")  # another backup's is not ours to end
         try:
             with storage_errors(f"back up to {target}"):
+                os.close(
+                    os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
+                )  # no link's target
                 copy = sqlite3.connect(partial)
                 try:
                     self._connection().backup(copy)
@@ -216,11 +230,16 @@ class SqliteReader:
         return connection
 
 
+def _bytes(value: object) -> int:
+    """At most how many bytes a column takes in a message, numbers aside."""
+    return len(value) if isinstance(value, bytes) else 4 * len(value) if isinstance(value, str) else 0
+
+
 def _event(row: tuple[Any, ...]) -> Event:
     seq, now, kind, body, digest = row
     if body_digest(kind, body) != digest:
         raise StorageError(f"the {kind} event at log position {seq} does not match its digest; restore a backup")
-    return Event(seq, now, kind, unpack(body))
+    return Event(seq, now, kind, unpack(body, depth=None))
 
 
 def _follows(task: str, seq: int, before: int) -> int:

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
-from crkr.client.console import print_json, stderr, stdout
-from crkr.client.options import Json
+from crkr.client.cli.console import print_json, stderr, stdout
+from crkr.client.cli.options import Json
 
 if TYPE_CHECKING:
     from crkr.sim_worker.demo.session import DemoResult
@@ -31,7 +31,9 @@ def demo(
     port: Annotated[
         int, typer.Option(min=0, max=65535, help="Loopback port of the server; 0 takes any free one.")
     ] = DEFAULT_PORT,
-    skill: Annotated[str, typer.Option(help="What to learn; your own as package.module:factory.")] = "table-tennis",
+    skill: Annotated[
+        str, typer.Option(help="What to learn; your own as package.module:factory or file.py:factory.")
+    ] = "table-tennis",
     stay: Annotated[bool, typer.Option("--stay", help="Keep server and viewer until Enter or Ctrl-C.")] = False,
     json: Json = False,
 ) -> None:
@@ -44,22 +46,23 @@ def demo(
 
     Example: crkr demo --trials 1500 --seed 3
     """
-    from crkr.sim_worker.demo.display import print_summary, script
-    from crkr.sim_worker.demo.equipment import check_equipment
+    from crkr.sim_worker.demo.requirements import check_equipment
     from crkr.sim_worker.demo.session import run_demo
     from crkr.sim_worker.demo.settings import DemoSettings
-    from crkr.sim_worker.progress import Progress
-    from crkr.sim_worker.skills import check_skill
+    from crkr.sim_worker.demo.summary import print_summary, script
+    from crkr.sim_worker.skill_registry import check_skill, default_task
+    from crkr.sim_worker.supervisor.progress import Progress
 
     check_equipment(dashboard)
     settings = DemoSettings(
         skill=check_skill(skill),
-        task=skill if ":" not in skill else skill.split(":")[0].split(".")[-1].replace("_", "-").lower(),
+        task=default_task(skill),
         trials=trials,
         workers=workers,
         seed=seed,
         data=data.resolve(),
         recording=_unused(data.resolve() / "run.rrd"),
+        figure=_figure(data.resolve()),
         endpoint=f"tcp/{LOOPBACK}:{port or _free_port()}",
         dashboard=dashboard,
         stay=stay,
@@ -96,8 +99,14 @@ def _free_port() -> int:
     return port
 
 
+def _figure(data: Path) -> Path:
+    """The learning curve, drawn anew when a run is resumed; where no run was, a figure of that name is somebody's."""
+    path = data / "learning-curve.png"
+    return path if (data / "logs").is_dir() else _unused(path)
+
+
 def _unused(path: Path) -> Path:
-    """The path, or with the first number that makes it new: an earlier recording is kept."""
+    """The path, or with the first number that makes it new: what is there is kept."""
 
     def candidates() -> Iterator[Path]:
         yield path

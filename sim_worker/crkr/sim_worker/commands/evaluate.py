@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from crkr.client.console import print_json, stderr, stdout
-from crkr.client.options import Connect, Json, Timeout, ZenohConfig
+from crkr.client.cli.console import print_json, stderr, stdout
+from crkr.client.cli.options import Connect, Json, Timeout, ZenohConfig
 
 if TYPE_CHECKING:
     from crkr.client import Task
@@ -47,10 +48,11 @@ def evaluate(
     import numpy as np
 
     from crkr.client import Client
-    from crkr.sim_worker import assessment
-    from crkr.sim_worker.progress import Progress
+    from crkr.sim_worker.evaluation import assessment
+    from crkr.sim_worker.guarded_skill import GuardedSkill
     from crkr.sim_worker.skill import SkillOptions, options_in_force
-    from crkr.sim_worker.skills import load_skill
+    from crkr.sim_worker.skill_registry import load_skill
+    from crkr.sim_worker.supervisor.progress import Progress
 
     name = skill or task
     options = SkillOptions(environment=environment, launcher=launcher, name=task)
@@ -58,7 +60,7 @@ def evaluate(
     chosen = options_in_force(player, options)
     with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
         judged = client.task(task)
-        answers = assessment.ask(judged, player, balls, seed)
+        answers = assessment.ask(judged, GuardedSkill(player), balls, seed)
         goals = np.concatenate([answer.goals for answer in answers])
         with Progress(stderr, "evaluating", balls, "contexts") as progress:
             played = assessment.play(
@@ -84,12 +86,12 @@ def evaluate(
     if json:
         print_json(result)
     else:
-        _print(result, list(score.successes))
+        _print(result, score.policy.criteria)
 
 
 def _before(task: Task) -> dict[str, Any] | None:
     """Success on the fixed contexts at epoch 0, if the log has it near its start."""
-    from crkr.sim_worker.run_history import RunHistory
+    from crkr.sim_worker.evaluation.run_history import RunHistory
 
     history = RunHistory(task.spec)
     for stored in task.iter_samples():
@@ -97,10 +99,10 @@ def _before(task: Task) -> dict[str, Any] | None:
         if history.trained > EARLY:
             break
     first = next((score for score in history.epochs if score.epoch == 0), None)
-    return None if first is None else {**first.rates(), "balls": first.balls}
+    return None if first is None else {**first.tally.rates(), "balls": first.balls}
 
 
-def _print(result: dict[str, Any], names: list[str]) -> None:
+def _print(result: dict[str, Any], names: Sequence[str]) -> None:
     stdout.print(f"{result['task']}: {result['balls']} fresh contexts, seed {result['seed']}")
     before, planner = result["before_learning"] or {}, result["oracle"] or {}
     for name in names:

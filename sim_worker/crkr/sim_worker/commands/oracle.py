@@ -6,8 +6,8 @@ from typing import Annotated
 
 import typer
 
-from crkr.client.console import print_json, stderr, stdout
-from crkr.client.options import Json
+from crkr.client.cli.console import print_json, stderr, stdout
+from crkr.client.cli.options import Json
 
 __all__ = ["oracle"]
 
@@ -28,17 +28,16 @@ def oracle(
 
     Example: crkr oracle --launcher wide --balls 200 --seed 7
     """
-    from crkr.client.wilson import wilson_interval
-    from crkr.sim_worker.oracle import play_oracle
-    from crkr.sim_worker.progress import Progress
+    from crkr.sim_worker.evaluation.oracle import play_oracle
     from crkr.sim_worker.skill import SkillOptions
+    from crkr.sim_worker.supervisor.progress import Progress
 
     options = SkillOptions(environment=environment, launcher=launcher)
     with Progress(stderr, "planning", balls, "contexts") as progress:
         won = play_oracle(skill, options, balls, seed, jobs=jobs, show=progress.show)
     result = {
-        **{name: count / balls for name, count in won.items()},
-        "ci95": {name: list(wilson_interval(count, balls)) for name, count in won.items()},
+        **won.rates(),
+        "ci95": won.intervals(),
         "balls": balls,
         "seed": seed,
         "launcher": launcher,
@@ -48,6 +47,5 @@ def oracle(
         print_json(result)
         return
     stdout.print(f"{skill}, launcher {launcher}: {balls} contexts, seed {seed}")
-    for name, count in won.items():
-        low, high = wilson_interval(count, balls)
-        stdout.print(f"  {name:<10} {count / balls:.1%}  (95 %: {low:.1%} to {high:.1%})")
+    for name, (low, high) in won.intervals().items():
+        stdout.print(f"  {name:<10} {won.rate(name):.1%}  (95 %: {low:.1%} to {high:.1%})")

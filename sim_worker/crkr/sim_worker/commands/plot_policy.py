@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from crkr.client.console import stderr
-from crkr.client.options import Connect, Timeout, ZenohConfig
+from crkr.client.cli.console import stderr
+from crkr.client.cli.options import Connect, Overwrite, Timeout, ZenohConfig
 
 __all__ = ["policy"]
 
@@ -18,6 +18,7 @@ def policy(
     vary: Annotated[str, typer.Option(help="State coordinate to vary, e.g. ball_y.")],
     out: Annotated[Path, typer.Option(dir_okay=False, help="A .png, .svg or .pdf.")] = Path("policy.png"),
     state: Annotated[str | None, typer.Option(help="The other coordinates, in quotes; else mid-range.")] = None,
+    overwrite: Overwrite = False,
     points: Annotated[int, typer.Option(min=2, max=1000, help="How many values.")] = 31,
     connect: Connect = None,
     timeout: Timeout = 5.0,
@@ -31,9 +32,11 @@ def policy(
     Example: crkr plot policy table-tennis --vary ball_y --out policy.png
     """
     from crkr.client import Client
-    from crkr.client.commands.vectors import parse_vector
-    from crkr.sim_worker.table_tennis.policy_figure import draw_policy, varied
+    from crkr.client.cli.vectors import parse_vector
+    from crkr.sim_worker.figure import check_figure
+    from crkr.sim_worker.table_tennis.pictures.policy_figure import draw_policy, varied
 
+    check_figure(out, overwrite=overwrite)
     with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
         asked = client.task(task)
         index, states = varied(asked.spec, vary, points, None if state is None else parse_vector(state, "--state"))

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from crkr.client.console import stderr
-from crkr.client.options import Connect, Timeout, ZenohConfig
+from crkr.client.cli.console import stderr
+from crkr.client.cli.options import Connect, Overwrite, Timeout, ZenohConfig
 
 if TYPE_CHECKING:
     from crkr.client import Task
@@ -31,6 +31,7 @@ def render(
     slow: Annotated[
         float, typer.Option(min=1.0, max=100.0, help="How many times slower than life a .mp4 or .gif runs.")
     ] = 1.0,
+    overwrite: Overwrite = False,
     connect: Connect = None,
     timeout: Timeout = 5.0,
     zenoh_config: ZenohConfig = None,
@@ -46,8 +47,9 @@ def render(
     Example: crkr render --trial 2f1c6a1e-6c1f-4b52-9f0e-0d6a3c5b7e11 --slow 4 trial.mp4
     """
     from crkr.client import Client
-    from crkr.client.commands.vectors import parse_ids
-    from crkr.client.guard import require
+    from crkr.client.cli.error_lines import require
+    from crkr.client.cli.output_file import check_output
+    from crkr.client.cli.vectors import parse_ids
     from crkr.sim_worker.skill import SkillOptions
 
     if trial is not None and (launcher is not None or seed or ball):
@@ -56,10 +58,11 @@ def render(
     if out.suffix == ".mp4":
         require("av")
 
-    from crkr.sim_worker.table_tennis.render_trial import check_output, planned, render_trial
-    from crkr.sim_worker.table_tennis.stored_trial import compared, stored_trial
+    from crkr.sim_worker.table_tennis.pictures.stored_trial import compared, stored_trial
+    from crkr.sim_worker.table_tennis.pictures.trial_picture import check_kind, planned, render_trial
 
-    check_output(out, sequence=sequence, slow=slow)
+    check_kind(out, sequence=sequence, slow=slow)
+    check_output(out, overwrite=overwrite)
     player = _player(skill, SkillOptions(environment=environment, launcher=launcher))
     if task is None and wanted is None:
         outcome = render_trial(player, *planned(player, seed, ball), out, sequence=sequence, slow=slow)
@@ -79,7 +82,7 @@ def render(
 
 def _player(name: str, options: SkillOptions) -> TableTennis:
     from crkr.protocol import Invalid
-    from crkr.sim_worker.skills import load_skill
+    from crkr.sim_worker.skill_registry import load_skill
     from crkr.sim_worker.table_tennis import TableTennis
 
     player = load_skill(name, options)

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import signal
 import sys
-from typing import Annotated, Final
+from typing import Annotated
 
 import typer
 
-from crkr.client.console import configure_logging, print_json, stderr
-from crkr.client.options import Connect, Json, LogLevel, Timeout, ZenohConfig
+from crkr.client.cli.console import configure_logging, print_json, stderr
+from crkr.client.cli.options import Connect, Json, LogLevel, Timeout, ZenohConfig
 
 __all__ = ["workers"]
 
-TERMINATED: Final = 128 + signal.SIGTERM
-
-Skill = Annotated[str, typer.Argument(help="An installed skill, or your own as package.module:factory.")]
+Skill = Annotated[
+    str, typer.Argument(help="An installed skill, or your own as package.module:factory or path/to/file.py:factory.")
+]
 Workers = Annotated[int, typer.Option("-n", "--workers", min=1, max=256, help="Training processes.")]
 TaskName = Annotated[str | None, typer.Option("--task", help="Name of the task; the skill's own unless given.")]
 Trials = Annotated[
@@ -68,20 +68,22 @@ def workers(
 
     Creates the skill's task, or joins it, records the demonstrations it
     lacks, and runs trials in as many processes as asked. Ctrl-C ends them
-    all with a summary (status 130; 143 for SIGTERM); a run is taken up
+    all with a summary (status 130; 143 for SIGTERM, 129 for SIGHUP); a run is taken up
     where it was left.
 
     Example: crkr workers table-tennis -n 4 --trials 1500
     """
     from crkr.client import Client
-    from crkr.sim_worker.launch import launch
-    from crkr.sim_worker.launch_plan import LaunchPlan
-    from crkr.sim_worker.progress import Progress
     from crkr.sim_worker.randomness import unpredictable_seed
     from crkr.sim_worker.skill import SkillOptions
+    from crkr.sim_worker.supervisor.launch import launch
+    from crkr.sim_worker.supervisor.launch_plan import LaunchPlan
+    from crkr.sim_worker.supervisor.progress import Progress
 
     configure_logging(log_level)
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(TERMINATED))  # as process 1 of a container it has no default
+    for number in (signal.SIGTERM, signal.SIGHUP):  # as process 1 of a container they have no default
+        if signal.getsignal(number) is not signal.SIG_IGN:  # by nohup
+            signal.signal(number, lambda number, _: sys.exit(128 + number))
     options = SkillOptions(environment=environment, launcher=launcher, preset=preset, name=task, seed=seed or 0)
     with Client(connect, zenoh_config=zenoh_config) as client:
         endpoint = client.endpoint

@@ -8,7 +8,7 @@ from typing import Any, Final, final
 
 from crkr.client import Client, Task
 from crkr.protocol import CrkrError, UnknownTask
-from crkr.sim_worker.run_history import RunHistory
+from crkr.sim_worker.evaluation.run_history import RunHistory
 
 __all__ = ["Follower"]
 
@@ -78,7 +78,7 @@ class Follower:
         parts = [f"{(trained - before) / (now - then):.0f}/s"] if now > then and trained > before else []
         if self.history.epochs:
             score = self.history.epochs[-1]
-            marks = ", ".join(f"{name} {rate:.0%}" for name, rate in score.rates().items())
+            marks = ", ".join(f"{name} {rate:.0%}" for name, rate in score.tally.rates().items())
             parts.append(f"{marks} after {score.trials}")
         parts += [f"active {self.active}", f"samples {self.history.samples}"]
         return ", ".join(parts)
@@ -93,8 +93,8 @@ class Follower:
         return {
             "trials": history.trained,
             "demonstrations": history.kinds["demonstration"],
-            "success_before": epochs[0].rates() if epochs and epochs[0].epoch == 0 else None,
-            "success_after": epochs[-1].rates() if epochs else None,
+            "success_before": epochs[0].tally.rates() if epochs and epochs[0].epoch == 0 else None,
+            "success_after": epochs[-1].tally.rates() if epochs else None,
             "epochs": [score.to_dict() for score in epochs],
             "trials_per_second": history.rate(since=self.trained_before),
             "samples": history.samples,

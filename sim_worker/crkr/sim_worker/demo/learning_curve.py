@@ -5,8 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from crkr.client.wilson import wilson_interval
-from crkr.sim_worker.run_history import RunHistory
+from crkr.sim_worker.evaluation.run_history import RunHistory
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -28,13 +27,10 @@ def draw_learning_curve(history: RunHistory, title: str, budget: int, path: Path
     """
     if not history.epochs:
         return False
-    import matplotlib as mpl
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
+    from crkr.sim_worker.figure import mpl, new_figure, save_figure
 
     with mpl.rc_context({"font.size": 10, "axes.spines.top": False, "axes.spines.right": False}):
-        figure = Figure(figsize=(8.0, 4.5), dpi=120, layout="constrained")
-        FigureCanvasAgg(figure)  # no window system is asked for
+        figure = new_figure(8.0, 4.5)
         axes = figure.add_subplot()
         _curves(axes, history)
         _budget(axes, history, budget)
@@ -42,19 +38,20 @@ def draw_learning_curve(history: RunHistory, title: str, budget: int, path: Path
         axes.grid(alpha=0.25)
         # Outside: within the axes there is no corner that every run leaves free.
         figure.legend(loc="outside lower center", ncols=len(COLOURS), frameon=False)
-        figure.savefig(path, format="png")
+        save_figure(figure, path)
     return True
 
 
 def _curves(axes: Axes, history: RunHistory) -> None:
-    epochs = history.epochs
-    trials = [score.trials for score in epochs]
-    for name, colour in zip(epochs[0].successes, COLOURS, strict=False):
-        bands = [wilson_interval(score.successes[name], score.balls) for score in epochs]
+    names = dict.fromkeys(name for score in history.epochs for name in score.tally.criteria)
+    for name, colour in zip(names, COLOURS, strict=False):
+        epochs = [score for score in history.epochs if score.tally.judged[name]]
+        trials = [score.trials for score in epochs]
+        bands = [score.tally.interval(name) for score in epochs]
         axes.fill_between(
             trials, [100 * low for low, _ in bands], [100 * high for _, high in bands], color=colour, alpha=0.15, lw=0
         )
-        rates = [100 * score.successes[name] / score.balls for score in epochs]
+        rates = [100 * score.tally.rate(name) for score in epochs]
         axes.plot(trials, rates, color=colour, marker="o", markersize=3, label=f"{name} criterion")
 
 

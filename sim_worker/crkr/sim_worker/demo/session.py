@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import Any, Final, final
 
 from crkr.client import Client
-from crkr.sim_worker.demo.crew import Crew, DemoFailed
 from crkr.sim_worker.demo.follower import CALL_S, Follower
 from crkr.sim_worker.demo.learning_curve import draw_learning_curve
+from crkr.sim_worker.demo.processes import Crew, DemoFailed
 from crkr.sim_worker.demo.settings import DemoSettings
-from crkr.sim_worker.stop_request import StopRequest
+from crkr.sim_worker.supervisor.stop_request import StopRequest
 
 __all__ = ["DemoResult", "run_demo"]
 

@@ -22,6 +22,7 @@ class DemoSettings:
         seed: Of task, demonstrations and workers.
         data: Folder for everything; the server's data directory too.
         recording: File that `crkr watch` records to.
+        figure: File of the learning curve.
         endpoint: Where its server listens.
         dashboard: Whether `crkr watch` runs beside.
         stay: Keep server and viewer after the run until Enter or Ctrl-C.
@@ -34,6 +35,7 @@ class DemoSettings:
     seed: int
     data: Path
     recording: Path
+    figure: Path
     endpoint: str
     dashboard: bool
     stay: bool
@@ -42,8 +44,3 @@ class DemoSettings:
     def logs(self) -> Path:
         """Folder of the processes' logs."""
         return self.data / "logs"
-
-    @property
-    def figure(self) -> Path:
-        """The learning curve."""
-        return self.data / "learning-curve.png"

@@ -8,9 +8,8 @@ from typing import Final, Protocol, final
 import numpy as np
 from numpy.typing import NDArray
 
-from crkr.sim_worker.table_tennis.arm import SPEED_LIMITS, Arm, Unreachable
-from crkr.sim_worker.table_tennis.ball import Ball, bounce, flight, fly_to_x
-from crkr.sim_worker.table_tennis.constants import (
+from crkr.sim_worker.table_tennis.arm.dynamics import SPEED_LIMITS, Arm, Unreachable
+from crkr.sim_worker.table_tennis.ball.constants import (
     AIM,
     BALL_RADIUS,
     FACE_OFFSET,
@@ -20,6 +19,7 @@ from crkr.sim_worker.table_tennis.constants import (
     PADDLE_RESTITUTION,
     TABLE_HEIGHT,
 )
+from crkr.sim_worker.table_tennis.ball.flight import Ball, bounce, flight, fly_to_x
 
 __all__ = ["HOME", "Planner", "Predictor"]
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any, Final
 
 from crkr.protocol import Invalid, TaskSpec
-from crkr.sim_worker.table_tennis.arm import SPEED_LIMITS
-from crkr.sim_worker.table_tennis.launchers import Launcher
+from crkr.sim_worker.table_tennis.arm.dynamics import SPEED_LIMITS
+from crkr.sim_worker.table_tennis.ball.launchers import Launcher
 
 __all__ = ["NAME", "PRESETS", "SPARE_TIME", "task_spec"]
 

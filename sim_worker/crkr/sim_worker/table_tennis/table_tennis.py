@@ -11,21 +11,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crkr.protocol import Geom, Invalid, TaskSpec
+from crkr.sim_worker.primitives.demonstrated_profile import demonstrated_profile
+from crkr.sim_worker.primitives.stroke import Infeasible, JointLimits, JointTrajectory, Primitive
 from crkr.sim_worker.skill import Demonstration, Outcome, SkillOptions
-from crkr.sim_worker.table_tennis.arm import ACCELERATION_LIMITS, SPEED_LIMITS, Arm
-from crkr.sim_worker.table_tennis.collision import CollisionCheck
-from crkr.sim_worker.table_tennis.demonstrated_profile import demonstrated_profile
-from crkr.sim_worker.table_tennis.environments import ENVIRONMENTS, make_environment, make_predictor
-from crkr.sim_worker.table_tennis.launchers import LAUNCHERS, Launcher
+from crkr.sim_worker.table_tennis.arm.collision import CollisionCheck
+from crkr.sim_worker.table_tennis.arm.dynamics import ACCELERATION_LIMITS, SPEED_LIMITS, Arm
+from crkr.sim_worker.table_tennis.arm.spare_time import spare_time
+from crkr.sim_worker.table_tennis.arm.wind_up import wind_up
+from crkr.sim_worker.table_tennis.ball.launchers import LAUNCHERS, Launcher
+from crkr.sim_worker.table_tennis.environments.environments import ENVIRONMENTS, make_environment, make_predictor
+from crkr.sim_worker.table_tennis.environments.play import Play
+from crkr.sim_worker.table_tennis.environments.simulation import Diverged, Simulation
+from crkr.sim_worker.table_tennis.pictures.trace import Motion, motion, trace
 from crkr.sim_worker.table_tennis.planner import HOME, Planner
-from crkr.sim_worker.table_tennis.play import Play
-from crkr.sim_worker.table_tennis.primitive import Infeasible, JointLimits, JointTrajectory, Primitive
-from crkr.sim_worker.table_tennis.simulation import Diverged, Simulation
-from crkr.sim_worker.table_tennis.spare_time import spare_time
 from crkr.sim_worker.table_tennis.spec import SPARE_TIME, task_spec
-from crkr.sim_worker.table_tennis.tracing import Motion, motion, trace
 from crkr.sim_worker.table_tennis.tracker import judge
-from crkr.sim_worker.table_tennis.wind_up import wind_up
 
 __all__ = ["ENVIRONMENTS", "TableTennis"]
 

@@ -8,8 +8,7 @@ from typing import Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from crkr.sim_worker.table_tennis.ball import Ball, Curl, fly, fly_to_height, fly_to_x
-from crkr.sim_worker.table_tennis.constants import (
+from crkr.sim_worker.table_tennis.ball.constants import (
     AIM,
     BALL_RADIUS,
     FACE_OFFSET,
@@ -19,7 +18,8 @@ from crkr.sim_worker.table_tennis.constants import (
     TABLE_HALF_WIDTH,
     TABLE_HEIGHT,
 )
-from crkr.sim_worker.table_tennis.play import Play
+from crkr.sim_worker.table_tennis.ball.flight import Ball, Curl, fly, fly_to_height, fly_to_x
+from crkr.sim_worker.table_tennis.environments.play import Play
 
 __all__ = ["COST_WIDTH", "OUTCOMES", "Verdict", "cost_of", "judge", "rally"]
 

@@ -1,0 +1,97 @@
+"""Every error a command may expect becomes one line on standard error and an exit status."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from contextlib import suppress
+from importlib.util import find_spec
+from typing import Final
+
+import typer
+
+from crkr.client.cli.standard_streams import READER_GONE, discard_output
+from crkr.protocol import CrkrError, printable
+
+__all__ = ["guarded", "reason_missing", "require"]
+
+# Import name of an extra's package -> extras that bring it, the first unless the command's own is among them.
+_EXTRAS: Final = {
+    "PIL": ("sim",),
+    "av": ("film",),
+    "clarabel": ("sim",),
+    "coal": ("sim",),
+    "joblib": ("experiments",),
+    "matplotlib": ("sim",),
+    "mujoco": ("sim",),
+    "pinocchio": ("sim",),
+    "prometheus_client": ("server",),
+    "pyarrow": ("export",),
+    "rerun": ("dashboard",),
+    "rliable": ("experiments",),
+    "scipy": ("server", "mirror", "sim", "experiments"),
+    "sklearn": ("experiments",),
+}
+_EXTRA_OF_PART: Final = {
+    "client": "mirror",
+    "client.bench": "server",  # it starts one
+    "server": "server",
+    "sim_worker": "sim",
+    "dashboard": "dashboard",
+    "experiments": "experiments",
+}
+
+
+def guarded(function: Callable[..., object], command: str, module: str) -> Callable[..., object]:
+    """The command with its expected failures as exit status 1 (130 when interrupted); defects keep their traceback."""
+
+    @functools.wraps(function)
+    def run(*args: object, **kwargs: object) -> object:
+        try:
+            return function(*args, **kwargs)
+        except CrkrError as error:
+            raise _failed(error.message) from error
+        except ModuleNotFoundError as error:
+            if (error.name or "").split(".")[0] not in _EXTRAS:
+                raise
+            raise _failed(reason_missing(error, command, module)) from error
+        except BrokenPipeError as error:  # whatever read the output has enough of it
+            discard_output()
+            raise typer.Exit(READER_GONE) from error
+        except OSError as error:
+            raise _failed(str(error)) from error
+        except KeyboardInterrupt as error:
+            with suppress(OSError):
+                typer.echo("interrupted", err=True)
+            raise typer.Exit(130) from error
+
+    return run
+
+
+def require(*packages: str) -> None:
+    """Looks for what a child process is about to import, so that the command says what is missing, not the child.
+
+    Raises:
+        ModuleNotFoundError: For the first package that is not installed.
+    """
+    for package in packages:
+        if find_spec(package) is None:
+            raise ModuleNotFoundError(f"No module named {package!r}", name=package)
+
+
+def reason_missing(error: Exception, command: str, module: str) -> str:
+    """Which extra to install for a command that lacks a package."""
+    package = (getattr(error, "name", None) or "").split(".")[0]
+    extras = _EXTRAS.get(package)
+    if extras is None:
+        return f"crkr {command} cannot be loaded: {error}"
+    part, subpart = [*module.split(".")[1:3], "", ""][:2]
+    own = _EXTRA_OF_PART.get(f"{part}.{subpart}") or _EXTRA_OF_PART.get(part, "")
+    extra = own if own in extras else extras[0]
+    return f"crkr {command} needs the extra '{extra}': pip install 'crkr[{extra}]'"
+
+
+def _failed(message: str) -> typer.Exit:
+    with suppress(OSError):  # nobody is there to read it
+        typer.echo(f"error: {printable(message)}", err=True)
+    return typer.Exit(1)

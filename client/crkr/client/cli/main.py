@@ -1,0 +1,72 @@
+"""The entry of the `crkr` command: sets the process up, then hands over."""
+
+from __future__ import annotations
+
+import os
+import sys
+import threading
+from contextlib import suppress
+from traceback import format_exception
+from types import TracebackType
+from typing import Final
+
+__all__ = ["main"]
+
+# Small matrices on few cores: BLAS threads cost more than they give, and workers beside each other would fight.
+# They are read when numpy is imported, so this comes before any other import of crkr.
+_THREADS: Final = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+def main() -> None:
+    """Runs `crkr` with the process's arguments."""
+    for name in _THREADS:
+        if not _is_count(os.environ.get(name, "")):
+            os.environ[name] = "1"
+    sys.excepthook = _tell_defect  # before Typer looks for it
+    threading.excepthook = _tell_defect_of_a_thread
+    from crkr.client.cli.standard_streams import READER_GONE, discard_output, flushed, open_streams
+    from crkr.client.cli.subcommands import build
+
+    open_streams()
+    try:
+        build(sys.argv[1:])(prog_name="crkr")
+        status = 0
+    except SystemExit as end:
+        status = end.code if isinstance(end.code, int) else int(end.code is not None)
+        if isinstance(end.__context__, BrokenPipeError):  # Typer and Rich make it 1
+            status = READER_GONE
+    except OSError as error:  # of help and version, which are printed outside every command
+        sys.stderr.write(f"error: standard output cannot be written: {error.strerror}\n")
+        discard_output()
+        status = 1
+    status = flushed(status)
+    _leave_strangers_behind(status)
+    sys.exit(status)
+
+
+def _tell_defect(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+    """A traceback may quote what others sent."""
+    from crkr.protocol import printable
+
+    sys.stderr.write(printable("".join(format_exception(kind, error, trace)), keep="\n"))
+
+
+def _tell_defect_of_a_thread(ended: threading.ExceptHookArgs) -> None:
+    if ended.exc_value is not None and not isinstance(ended.exc_value, SystemExit):
+        sys.stderr.write(f"Exception in thread {ended.thread.name if ended.thread else '?'}:\n")
+        _tell_defect(ended.exc_type, ended.exc_value, ended.exc_traceback)
+
+
+def _is_count(value: str) -> bool:
+    """Whether a variable says how many threads, or how many at each level: OpenMP complains of all else."""
+    return all(part.strip().isdecimal() and int(part) > 0 for part in value.split(","))
+
+
+def _leave_strangers_behind(status: int) -> None:
+    """Ends the process where a thread of a user's skill would keep it for ever: ours are daemons, or have ended."""
+    if all(thread.daemon for thread in threading.enumerate() if thread is not threading.main_thread()):
+        return
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(OSError, ValueError):
+            stream.flush()
+    os._exit(status)

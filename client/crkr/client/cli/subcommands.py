@@ -1,0 +1,115 @@
+"""The frame of `crkr`: finds the parts' subcommands by entry point and loads only the one that is asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from importlib.metadata import EntryPoint, entry_points, version
+from typing import Annotated, Final
+
+import typer
+
+from crkr.client.cli.error_lines import guarded, reason_missing
+
+__all__ = ["build"]
+
+GROUP: Final = "crkr.commands"
+_PANELS: Final[Mapping[str, tuple[str, ...]]] = {
+    "Run": ("demo", "server", "workers", "watch"),
+    "Ask and report": ("create", "tasks", "status", "predict", "report", "explain", "doctor"),
+    "Judge": ("evaluate", "oracle", "render", "plot", "experiment", "bench"),
+    "Manage a task": ("recost", "remove", "refit", "configure", "archive"),
+    "Data": ("export", "import", "backup", "replay"),
+}
+_GROUP_HELP: Final[Mapping[str, str]] = {
+    "bench": "Measure this machine, side by side with a bare baseline.\n\nExample: crkr bench predict",
+    "plot": "Draw what was learned.\n\nExample: crkr plot policy table-tennis --vary ball_y",
+    "experiment": "Repeat learning runs over seeds and judge them.\n\nExample: crkr experiment learning --seeds 3",
+}
+_HELP: Final = """A policy service for robots that learn by trying.
+
+Start with `crkr demo`, or with `crkr server` and `crkr create`.
+"""
+
+
+def build(arguments: list[str]) -> typer.Typer:
+    """The application with the one command that the arguments name, or with all of them for help and mistakes."""
+    available = {entry.name: entry for entry in entry_points(group=GROUP)}
+    app = _application(_HELP)
+    app.callback()(_options)
+    _add(app, _invoked(available, arguments))
+    return app
+
+
+def _invoked(available: Mapping[str, EntryPoint], arguments: list[str]) -> list[EntryPoint]:
+    """The entry points to load: one command, one group, or all."""
+    if arguments[:1] == ["--version"]:
+        return []
+    first, second = [*arguments[:2], "", ""][:2]
+    for name in (first, f"{first}.{second}"):
+        if name in available:
+            return [available[name]]
+    group = [entry for name, entry in available.items() if name.startswith(f"{first}.")] if first else []
+    return group or list(available.values())
+
+
+def _add(app: typer.Typer, entries: Iterable[EntryPoint]) -> None:
+    groups: dict[str, typer.Typer] = {}
+    order = [name for panel in _PANELS.values() for name in panel]
+    rank = {name: place for place, name in enumerate(order)}
+    for entry in sorted(entries, key=lambda entry: (rank.get(entry.name.split(".")[0], len(order)), entry.name)):
+        group, _, name = entry.name.rpartition(".")
+        if not group:
+            _register(app, name, entry, _panel(name))
+            continue
+        if group not in groups:
+            groups[group] = _application(_GROUP_HELP.get(group, f"Commands of {group}."))
+            groups[group].callback()(lambda: None)  # stays a group even with one command
+            app.add_typer(groups[group], name=group, rich_help_panel=_panel(group))
+        _register(groups[group], name, entry, None)
+
+
+def _application(text: str) -> typer.Typer:
+    return typer.Typer(
+        help=text,
+        no_args_is_help=True,
+        pretty_exceptions_enable=False,
+        context_settings={"help_option_names": ["-h", "--help"]},
+    )
+
+
+def _panel(name: str) -> str:
+    return next((panel for panel, names in _PANELS.items() if name in names), "From other packages")
+
+
+def _register(app: typer.Typer, name: str, entry: EntryPoint, panel: str | None) -> None:
+    """Adds the command, guarded; where it cannot be imported, one that takes anything and says why."""
+    command, module = entry.name.replace(".", " "), entry.value.split(":")[0]
+    try:
+        app.command(name, rich_help_panel=panel)(guarded(entry.load(), command, module))
+    except (ImportError, AttributeError) as error:
+        lenient = {"ignore_unknown_options": True, "allow_extra_args": True}
+        absent = _absent(reason_missing(error, command, module))
+        app.command(name, rich_help_panel=panel, context_settings=lenient)(absent)
+
+
+def _absent(reason: str) -> Callable[[], None]:
+    def absent() -> None:
+        typer.echo(f"error: {reason}", err=True)
+        raise typer.Exit(1)
+
+    absent.__doc__ = f"(not installed) {reason}"
+    return absent
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"crkr {version('crkr')}")
+        raise typer.Exit
+
+
+def _options(
+    show_version: Annotated[
+        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and exit.")
+    ] = False,
+) -> None:
+    del show_version  # its callback has acted

@@ -1,0 +1,113 @@
+"""Where the server is and how Zenoh is set up to reach it: explicit endpoints, nothing discovered, nothing shared."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, final
+
+import zenoh
+
+from crkr.client.network.diagnosis import EXAMPLE, fault_in
+from crkr.protocol import Invalid
+from crkr.protocol.zenoh_files import named_files
+
+__all__ = ["DEFAULT_ENDPOINT", "Connection"]
+
+DEFAULT_ENDPOINT: Final = EXAMPLE
+_VARIABLE: Final = "CRKR_CONNECT"
+_LEASE_MS: Final = 2000  # a silent partition is noticed after this; Zenoh's own default is 10 s
+_ZENOH_LEASE_MS: Final = 10_000
+# Bus discovery would find other people's servers; shared memory leaks segments when processes are killed.
+_FIXED: Final[dict[str, Any]] = {
+    "mode": "client",
+    "scouting/multicast/enabled": False,
+    "scouting/gossip/enabled": False,
+    "transport/shared_memory/enabled": False,
+}
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Connection:
+    """How to reach one server.
+
+    Attributes:
+        endpoint: Zenoh endpoint, e.g. "tcp/127.0.0.1:7447" or "tls/learner:7447".
+        zenoh_config: Zenoh configuration (JSON5) that the settings above are laid over; for certificates and passwords.
+    """
+
+    endpoint: str
+    zenoh_config: Path | None = None
+
+    @classmethod
+    def choose(cls, endpoint: str | None, zenoh_config: Path | None) -> Connection:
+        """The endpoint given, else $CRKR_CONNECT, else the file's first, else the default.
+
+        Raises:
+            Invalid: The endpoint is not of the form protocol/host:port, or the file cannot be read.
+        """
+        variable = os.environ.get(_VARIABLE) or None
+        chosen, named = endpoint or variable, "the endpoint"
+        if chosen == variable:  # also where a command took it from there
+            named = f"the endpoint in {_VARIABLE}"
+        if chosen is None and zenoh_config is not None:
+            chosen, named = _first_endpoint(_load(zenoh_config)), f"the endpoint in {zenoh_config}"
+        chosen = chosen or DEFAULT_ENDPOINT
+        if fault := fault_in(chosen):
+            raise Invalid(f"{named} is {chosen!r:.200}: {fault}; one looks like {DEFAULT_ENDPOINT!r}")
+        connection = cls(chosen, zenoh_config)
+        connection.zenoh(1.0)
+        return connection
+
+    def zenoh(self, patience_s: float) -> zenoh.Config:
+        """Zenoh's configuration for one attempt to connect that takes at most `patience_s`.
+
+        Raises:
+            Invalid: Zenoh refuses a setting.
+        """
+        config = _load(self.zenoh_config)
+        patience_ms = max(1, int(1000 * patience_s))
+        settings = {
+            **_FIXED,
+            "connect/endpoints": [self.endpoint],
+            "connect/timeout_ms": patience_ms,
+            "connect/retry": {"period_init_ms": 50, "period_max_ms": 500, "period_increase_factor": 2},
+            "transport/unicast/open_timeout": patience_ms,
+        }
+        if json.loads(config.get_json("transport/link/tx/lease")) == _ZENOH_LEASE_MS:
+            settings["transport/link/tx/lease"] = _LEASE_MS
+        try:
+            for key, value in settings.items():
+                config.insert_json5(key, json.dumps(value))
+        except zenoh.ZError as error:
+            raise Invalid(f"Zenoh refuses endpoint {self.endpoint!r}: {brief(error)}") from error
+        return config
+
+
+def _load(path: Path | None) -> zenoh.Config:
+    if path is None:
+        return zenoh.Config()
+    try:
+        config = zenoh.Config.from_file(path)
+        for name, file in named_files(path, config.get_json).items():
+            config.insert_json5(name, json.dumps(file))
+        return config
+    except zenoh.ZError as error:
+        raise Invalid(f"Zenoh configuration {path} cannot be read: {brief(error)}") from error
+
+
+def _first_endpoint(config: zenoh.Config) -> str | None:
+    endpoints = json.loads(config.get_json("connect/endpoints"))
+    if isinstance(endpoints, dict):  # one list for each mode
+        endpoints = endpoints.get("client", [])
+    first = endpoints[0] if endpoints else None
+    return first if isinstance(first, str) else None
+
+
+def brief(error: Exception) -> str:
+    """Zenoh's message without the places in its source."""
+    return re.sub(r"\s+at /\S+|\s*\.?\s*$", "", str(error).split("\n")[0])

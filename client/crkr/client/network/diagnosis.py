@@ -1,0 +1,140 @@
+"""Why nobody answers at an endpoint: Zenoh says "Timeout" or nothing, whatever the reason is.
+
+what is found                                by what
+the endpoint is none                         its text: protocol, host, port
+its host has no address                      a look-up
+nobody listens, or the host does not answer  a TCP connection
+TLS on one side only, or a certificate       a handshake, see `crkr.client.network.tls_handshake`
+something else than Zenoh listens            its first words
+a Zenoh router that is no crkr server        no token of a server there
+"""
+
+from __future__ import annotations
+
+import errno
+import re
+import socket
+import time
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Final, final
+
+import zenoh
+
+from crkr.client.network.tls_handshake import connection_to, refusal
+from crkr.protocol import live_server_key
+
+__all__ = ["ANYBODY", "EXAMPLE", "NO_SERVER", "Obstacle", "fault_in", "obstacle", "silence_of"]
+
+EXAMPLE: Final = "tcp/127.0.0.1:7447"
+_WITH_PORT: Final = ("tcp", "udp", "tls", "quic", "quic_datagram", "ws")
+_OTHERS: Final = ("serial", "unixpipe", "unixsock-stream", "vsock")
+_TALK: Final = b"GET / HTTP/1.0\r\n\r\n"  # to Zenoh the beginning of a long message, to a web server a question
+_TALK_S: Final = 0.2
+_TOKENS_S: Final = 0.5
+ANYBODY: Final = "connected, but nobody serves this key, or the server's access control denies it to this client"
+NO_SERVER: Final = (
+    "connected, but to a Zenoh router where no crkr server shows: another router, as ROS 2's rmw_zenohd, which listens "
+    "on port 7447 too, or a server whose access control denies this client everything"
+)
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Obstacle:
+    """What stands in the way of a connection.
+
+    Attributes:
+        what: In words, with what to do.
+        final: Trying again cannot help, as with certificates that do not fit.
+        absent: It is only that nobody listens.
+    """
+
+    what: str
+    final: bool = False
+    absent: bool = False
+
+
+def fault_in(endpoint: str) -> str | None:
+    """What is wrong with the text of an endpoint; None where nothing is."""
+    protocol, slash, address = endpoint.partition("/")
+    if not slash or not address or re.search(r"\s", endpoint) or not re.fullmatch(r"[a-z0-9_-]+", protocol):
+        return "it is not of the form protocol/address"
+    if protocol not in _WITH_PORT + _OTHERS:
+        return f"the protocol {protocol!r} is unknown; Zenoh speaks {', '.join(_WITH_PORT + _OTHERS)}"
+    if protocol in _OTHERS:
+        return None
+    host, colon, port = re.split(r"[?#]", address, maxsplit=1)[0].rpartition(":")
+    if "," in address:
+        return "it names several; name one"
+    if not colon or (host.startswith("[") and not host.endswith("]")):
+        return f"the port is missing: {protocol}/{address.rstrip(':')}:7447"
+    if not host:
+        return "the host is missing before the port"
+    if not re.fullmatch(r"[0-9]+", port):
+        return f"the port is missing or no number: {port!r}" if port else "the port is missing after the colon"
+    if not 1 <= int(port) <= 65535:
+        return f"the port {port} is none: ports are 1 to 65535"
+    return None
+
+
+def obstacle(endpoint: str, config: zenoh.Config, patience_s: float) -> Obstacle | None:
+    """Looks for what keeps a client from connecting; None where nothing is found.
+
+    Args:
+        endpoint: One in which nothing is wrong.
+        config: With the certificates.
+        patience_s: How long looking may take [s].
+    """
+    deadline = time.monotonic() + patience_s
+    protocol, address = endpoint.split("/", 1)
+    if protocol not in _WITH_PORT:
+        return None
+    host, _, port = re.split(r"[?#]", address, maxsplit=1)[0].rpartition(":")
+    host = host.strip("[]")
+    try:
+        if protocol in ("udp", "quic", "quic_datagram"):  # nothing to connect to without speaking it
+            connection_to(host, int(port), deadline, socket.SOCK_DGRAM).close()
+            return None
+        connection_to(host, int(port), deadline).close()
+    except (socket.gaierror, UnicodeError):
+        return Obstacle(f"the host {host!r} has no address: is its name right, and is there a name server?")
+    except ConnectionRefusedError:
+        what = f"nobody listens at {host}:{port}: is a server running there? start one: crkr server"
+        return Obstacle(what, absent=True)
+    except TimeoutError:
+        return Obstacle(f"the host {host} does not answer: is it on, or does a firewall shut port {port}?")
+    except OSError as error:
+        if error.errno in (errno.ENETUNREACH, errno.EHOSTUNREACH):
+            return Obstacle(f"the host {host} cannot be reached: {error.strerror}")
+        return None
+    if found := refusal(endpoint, config, deadline - time.monotonic()):
+        return Obstacle(found, final=protocol == "tls")
+    if protocol == "tcp" and (said := _first_words(host, int(port), deadline)):
+        return Obstacle(f"what listens at {host}:{port} is {said} and does not speak Zenoh: is the port right?")
+    return None
+
+
+def silence_of(session: zenoh.Session, patience_s: float) -> str:
+    """Why a question is not even refused on a connection that works; looking takes `patience_s` at most."""
+    patience_s = min(_TOKENS_S, patience_s)
+    with suppress(zenoh.ZError):
+        tokens = session.liveliness().get(live_server_key("*"), zenoh.handlers.FifoChannel(4), timeout=patience_s)
+        for reply in tokens:
+            return ANYBODY if reply.ok is not None else "connected, but no reply in time"
+        return NO_SERVER
+    return ANYBODY
+
+
+def _first_words(host: str, port: int, deadline: float) -> str | None:
+    """What speaks to everybody who connects; None for what waits as Zenoh does."""
+    said = b""
+    with suppress(OSError), connection_to(host, port, deadline) as connection:
+        connection.settimeout(max(0.001, min(_TALK_S, deadline - time.monotonic())))
+        connection.sendall(_TALK)
+        said = connection.recv(16)
+    if said.startswith(b"HTTP/"):
+        return "a web server"
+    if said.startswith(b"SSH-"):
+        return "an SSH server"
+    return "something else" if said else None

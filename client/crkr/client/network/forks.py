@@ -1,0 +1,76 @@
+"""What a fork would break: Zenoh's threads stay in the parent, so in the child its objects can only be left alone.
+
+To open a session there, to call through one, or merely to free one waits forever. To close a database of SQLite there
+takes the parent's latest entries away. So the child is refused with a clear error, and keeps what it inherited until it
+ends.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+from contextlib import suppress
+from typing import Final
+from weakref import WeakKeyDictionary
+
+from crkr.protocol import Unavailable
+
+__all__ = ["check_not_forked", "hold", "is_forked", "leave_in_child", "release", "stay"]
+
+_held: Final[WeakKeyDictionary[object, object]] = WeakKeyDictionary()
+_locked: Final[set[int]] = set()  # open files
+
+
+class _Process:
+    """What this process knows of itself."""
+
+    holds = False
+    inherited = False
+
+
+def hold(owner: object, resource: object) -> None:
+    """Notes that `owner` has what cannot cross a fork, until `release` or the owner's end."""
+    _Process.holds = True
+    _held[owner] = resource
+
+
+def release(owner: object) -> None:
+    """Forgets what `owner` had."""
+    _held.pop(owner, None)
+
+
+def leave_in_child(file: int) -> None:
+    """Has a child close an open file, so that a lock on it ends with this process and not with the child."""
+    _locked.add(file)
+
+
+def stay(file: int) -> None:
+    """Takes `leave_in_child` back."""
+    _locked.discard(file)
+
+
+def is_forked() -> bool:
+    """Whether this process was forked from one that held such a thing."""
+    return _Process.inherited
+
+
+def check_not_forked() -> None:
+    """Raises `Unavailable` where `is_forked`."""
+    if is_forked():
+        raise Unavailable(
+            "this process was forked from one that had a client, which cannot cross a fork; "
+            "start processes with multiprocessing's 'spawn' method, or fork before the first call"
+        )
+
+
+def _in_child() -> None:
+    for file in _locked:
+        with suppress(OSError):
+            os.close(file)
+    _locked.clear()
+    _Process.inherited = _Process.inherited or _Process.holds
+    for resource in list(_held.values()):
+        ctypes.pythonapi.Py_IncRef(ctypes.py_object(resource))  # never freed, on purpose
+
+
+os.register_at_fork(after_in_child=_in_child)

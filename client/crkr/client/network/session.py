@@ -1,0 +1,189 @@
+"""One Zenoh session that is opened when first needed, closed once, and never used across a fork."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+import weakref
+from typing import Final, Protocol, final
+from weakref import WeakSet
+
+import zenoh
+
+from crkr.client.network.config import Connection, brief
+from crkr.client.network.diagnosis import Obstacle, obstacle
+from crkr.client.network.forks import check_not_forked, hold, is_forked, release
+from crkr.protocol import CrkrError, Unavailable
+
+__all__ = ["Guest", "Inside", "NotConnected", "Session"]
+
+_logger = logging.getLogger(__name__)
+_OPEN_S: Final = 1.0
+_LEAVE_S: Final = 1.0
+_LOOK_S: Final = 0.5
+_LOOK_AGAIN_S: Final = 3.0
+
+
+class NotConnected(Exception):
+    """This attempt to open the session failed; another may not."""
+
+
+class Guest(Protocol):
+    """What wants to say goodbye while the session is still open."""
+
+    def close(self) -> None:
+        """Says it; a second call does nothing."""
+        ...
+
+
+@final
+class Inside:
+    """Who is in Zenoh, so that nobody is when the interpreter ends.
+
+    It ends its daemons wherever they are, and in the Rust of Zenoh that aborts the process.
+    """
+
+    __slots__ = ("_threads", "shut")
+
+    def __init__(self) -> None:
+        self._threads: dict[int, None] = {}
+        self.shut = False
+
+    def __enter__(self) -> None:
+        self._threads[threading.get_ident()] = None
+        if self.shut:  # not before the thread is noted, or it might be overlooked
+            del self._threads[threading.get_ident()]
+            raise NotConnected("the session was closed")
+
+    def __exit__(self, *error: object) -> None:
+        del self._threads[threading.get_ident()]
+
+    def wait_until_left(self) -> None:
+        """Waits for all others, who leave as soon as the session is closed."""
+        until, me, pause = time.monotonic() + _LEAVE_S, threading.get_ident(), threading.Event()
+        while any(thread != me for thread in list(self._threads)) and time.monotonic() < until:
+            pause.wait(0.001)
+
+
+@final
+class Session:
+    """Opens lazily, so that a client may be made before its server is there.
+
+    Once open, Zenoh reconnects by itself and declares everything again. Closed by `close`, by garbage collection, or
+    when the interpreter exits (before its threads are torn down), whichever comes first.
+
+    Attributes:
+        connection: Where it leads.
+        inside: To be entered for each call of Zenoh that waits.
+        obstacle: What was found in the way of the last attempt to connect.
+    """
+
+    def __init__(self, connection: Connection) -> None:
+        self.connection: Final = connection
+        self._lock = threading.Lock()
+        self._session: zenoh.Session | None = None
+        self._finalizer: weakref.finalize[[zenoh.Session, WeakSet[Guest], Inside], Session] | None = None
+        self.inside: Final = Inside()
+        self._closed = threading.Event()
+        self._guests: WeakSet[Guest] = WeakSet()
+        self._in_vain = False
+        self.obstacle: Obstacle | None = None
+        self._look_again = 0.0  # [s, monotonic]
+
+    def open(self, deadline: float) -> zenoh.Session:
+        """The open session.
+
+        Args:
+            deadline: When to stop trying [s, monotonic clock].
+
+        Raises:
+            NotConnected: Nobody answers at the endpoint yet.
+            Unavailable: The client was closed, belongs to another process, or does not agree with the server about
+                certificates.
+        """
+        self._check()
+        session = self._session
+        if session is not None:
+            return session
+        if not self._lock.acquire(timeout=max(0.0, deadline - time.monotonic())):
+            raise NotConnected("another thread is still connecting")
+        try:
+            self._check()
+            if self._session is None:
+                self._session = self._connect(deadline)
+            return self._session
+        finally:
+            self._lock.release()
+
+    def peek(self) -> zenoh.Session | None:
+        """The session if it is open."""
+        return None if self._closed.is_set() or is_forked() else self._session
+
+    def see_off(self, guest: Guest) -> None:
+        """Has a guest closed before the session, whichever way that ends; the guest is not kept alive for it."""
+        self._guests.add(guest)
+
+    def pause(self, seconds: float) -> None:
+        """Waits, but not longer than the session lives."""
+        self._closed.wait(seconds)
+
+    def close(self) -> None:
+        """Closes the session; calls in progress end, later ones raise `Unavailable`."""
+        self._closed.set()
+        if is_forked():
+            return
+        with self._lock:
+            finalizer, self._finalizer, self._session = self._finalizer, None, None
+        if finalizer is not None:
+            finalizer()
+            release(self)
+
+    def _connect(self, deadline: float) -> zenoh.Session:
+        if self._in_vain:
+            self._look(0.5 * (deadline - time.monotonic()))
+        patience = min(_OPEN_S, max(0.001, deadline - time.monotonic()))
+        try:
+            session = zenoh.open(self.connection.zenoh(patience))
+        except zenoh.ZError as error:
+            self._in_vain = True
+            raise NotConnected(f"cannot connect: {brief(error)}") from error
+        self.obstacle = None
+        self._finalizer = weakref.finalize(self, _close, session, self._guests, self.inside)
+        hold(self, session)
+        _logger.debug("connected to %s", self.connection.endpoint)
+        return session
+
+    def _look(self, patience_s: float) -> None:
+        """Ends the waiting where another attempt cannot help: Zenoh would try until its time is over."""
+        now = time.monotonic()
+        if patience_s <= 0.0 or now < self._look_again:
+            return
+        if not self.connection.endpoint.startswith("tls/"):  # what is found there can end no waiting
+            self._look_again = now + _LOOK_AGAIN_S
+        connection = self.connection
+        self.obstacle = obstacle(connection.endpoint, connection.zenoh(1.0), min(_LOOK_S, patience_s))
+        if self.obstacle is not None and self.obstacle.final:
+            endpoint, found = connection.endpoint, self.obstacle.what
+            raise Unavailable(f"no connection to {endpoint}: {found}", details={"endpoint": endpoint, "refusal": found})
+
+    def _check(self) -> None:
+        if self._closed.is_set():
+            raise Unavailable(f"the client of {self.connection.endpoint} is closed")
+        check_not_forked()
+
+
+def _close(session: zenoh.Session, guests: WeakSet[Guest], inside: Inside) -> None:
+    if is_forked():
+        return
+    for guest in list(guests):
+        try:
+            guest.close()
+        except CrkrError as error:
+            _logger.warning("before closing the session: %s", error.message)
+    inside.shut = True
+    try:
+        session.close()  # type: ignore[no-untyped-call]  # zenoh's stub gives it no return type
+    except zenoh.ZError as error:
+        _logger.warning("closing the session: %s", brief(error))
+    inside.wait_until_left()

@@ -1,0 +1,172 @@
+"""Publications of a task, kept for a reader who may be slow: the newest stay, the oldest are dropped and counted."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+import weakref
+from collections import deque
+from collections.abc import Sequence
+from types import TracebackType
+from typing import Any, Final, final
+
+import zenoh
+
+from crkr.client.network.forks import hold, is_forked, release
+from crkr.client.network.rpc import plain
+from crkr.protocol import (
+    MAX_MESSAGE_BYTES,
+    MAX_TELEMETRY_BYTES,
+    CrkrError,
+    Invalid,
+    check_encoding,
+    pub_key,
+    unpack,
+)
+
+__all__ = ["TOPICS", "Subscription"]
+
+_logger = logging.getLogger(__name__)
+_JOIN_S: Final = 2.0
+_REST_S: Final = 0.05  # after a defect, which may come again at once
+_MOST_BYTES: Final = 64 << 20  # of publications that wait for the reader
+TOPICS: Final = ("trial", "evaluation", "model")
+
+
+@final
+class _Buffer:
+    """What a thread of its own has taken from Zenoh, so that Zenoh's threads never wait for the reader."""
+
+    def __init__(self, capacity: int) -> None:
+        self.messages: deque[tuple[str, bytes]] = deque()
+        self.dropped = 0
+        self.skipped = 0
+        self.closed = False
+        self.changed = threading.Condition()
+        self._capacity, self._bytes = capacity, 0
+
+    def fill(self, samples: zenoh.handlers.Handler[zenoh.Sample], topics: Sequence[str]) -> None:
+        """Takes samples until the subscriber is gone; one that cannot be taken is counted, whatever it raises."""
+        pause = threading.Event()
+        try:
+            while True:
+                try:
+                    self._take(samples.recv(), topics)
+                except zenoh.ZError:  # the subscriber is gone
+                    return
+                except BaseException as error:  # a panic of the binding is no Exception
+                    self.skip("?", error)
+                    pause.wait(_REST_S)
+        finally:
+            with self.changed:
+                self.closed = True
+                self.changed.notify_all()
+
+    def pop(self) -> tuple[str, bytes]:
+        """The oldest; to be called with `changed` held."""
+        topic, data = self.messages.popleft()
+        self._bytes -= len(data)
+        return topic, data
+
+    def skip(self, topic: str, error: BaseException) -> None:
+        """Counts a publication that cannot be read."""
+        self.skipped += 1
+        _logger.debug("skipped a publication on %s: %s", topic, error)
+
+    def _take(self, sample: zenoh.Sample, topics: Sequence[str]) -> None:
+        topic = str(sample.key_expr).rpartition("/")[2]
+        if topic not in topics:
+            return
+        try:
+            check_encoding(str(sample.encoding))
+            most = MAX_MESSAGE_BYTES if topic == "model" else MAX_TELEMETRY_BYTES
+            if len(sample.payload) > most:
+                raise Invalid(f"it has {len(sample.payload)} bytes; the limit is {most}")
+        except CrkrError as error:
+            self.skip(topic, error)
+            return
+        data = sample.payload.to_bytes()
+        with self.changed:
+            self.messages.append((topic, data))
+            self._bytes += len(data)
+            while len(self.messages) > self._capacity or (self._bytes > _MOST_BYTES and len(self.messages) > 1):
+                self.pop()
+                self.dropped += 1
+            self.changed.notify()
+
+
+@final
+class Subscription:
+    """Receives publications until closed; goes on by itself after the server restarts."""
+
+    def __init__(self, session: zenoh.Session, task: str, topics: Sequence[str], capacity: int) -> None:
+        unknown = [topic for topic in topics if topic not in TOPICS]
+        if unknown or not topics or capacity < 1:
+            raise Invalid(f"subscribe to one or more of {', '.join(TOPICS)} with capacity >= 1; got {topics!r}")
+        # One subscriber for several topics keeps their order.
+        subscriber = session.declare_subscriber(
+            pub_key(task, topics[0] if len(topics) == 1 else "*"), zenoh.handlers.FifoChannel(1024)
+        )
+        self._buffer = _Buffer(capacity)
+        self._thread = threading.Thread(
+            target=self._buffer.fill, args=(subscriber.handler, tuple(topics)), name=f"crkr-{task}", daemon=True
+        )
+        self._thread.start()
+        self._finalizer = weakref.finalize(self, _undeclare, subscriber, self._thread)
+        hold(self, subscriber)
+
+    @property
+    def dropped(self) -> int:
+        """Publications lost here because the reader was slow; Zenoh may lose more on the way and does not count."""
+        return self._buffer.dropped
+
+    @property
+    def skipped(self) -> int:
+        """Publications that could not be read: anyone may publish anything, unless access control says otherwise."""
+        return self._buffer.skipped
+
+    @property
+    def closed(self) -> bool:
+        """Nothing more will come."""
+        return self._buffer.closed
+
+    def receive(self, timeout_s: float) -> tuple[str, dict[str, Any]] | None:
+        """The next publication as (topic, message), or None if there is none within `timeout_s` or ever again."""
+        buffer, deadline = self._buffer, time.monotonic() + timeout_s
+        while True:
+            with buffer.changed:
+                buffer.changed.wait_for(
+                    lambda: buffer.messages or buffer.closed, timeout=max(0.0, deadline - time.monotonic())
+                )
+                if not buffer.messages:
+                    return None
+                topic, data = buffer.pop()
+            try:
+                return topic, plain(unpack(data))
+            except (CrkrError, RecursionError, ValueError, TypeError) as error:
+                buffer.skip(topic, error)
+
+    def close(self) -> None:
+        """Ends the subscription; a `receive` in progress returns."""
+        self._finalizer()
+        release(self)
+
+    def __enter__(self) -> Subscription:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def _undeclare(subscriber: zenoh.Subscriber[Any], thread: threading.Thread) -> None:
+    if is_forked():
+        return
+    try:
+        subscriber.undeclare()  # type: ignore[no-untyped-call]  # zenoh's stub gives it no return type
+    except zenoh.ZError as error:
+        _logger.debug("undeclaring: %s", error)
+    if threading.current_thread() is not thread:  # as a garbage collector's
+        thread.join(_JOIN_S)  # in Zenoh, the end of the interpreter would abort the process

@@ -1,0 +1,261 @@
+"""The client's only view of Zenoh: a query is bytes to bytes by a deadline, a publication is bytes that may be lost.
+
+reply                                what the transport does
+ok                                   returns its bytes
+error BUSY, SHUTTING_DOWN            waits as told, sends the same bytes again
+other error                          raises its exception
+none (EMPTY) or Zenoh's "Timeout"    outcome unknown: sends the same bytes again
+deadline reached                     raises Unavailable
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import random
+import time
+from typing import Final, final
+
+import zenoh
+
+from crkr.client.network.config import Connection, brief
+from crkr.client.network.diagnosis import silence_of
+from crkr.client.network.session import NotConnected, Session
+from crkr.client.network.trust import EVERYONE, NotTheServer, Trust
+from crkr.protocol import (
+    MAX_MESSAGE_BYTES,
+    Busy,
+    Internal,
+    Invalid,
+    ShuttingDown,
+    Unavailable,
+    Unsupported,
+    check_encoding,
+    encoding,
+    error_from_wire,
+    unpack,
+)
+from crkr.protocol.messages.call_metadata import CallMetadata
+
+__all__ = ["Transport"]
+
+_logger = logging.getLogger(__name__)
+_FIRST_ATTEMPT_S: Final = 0.5
+_LATER_ATTEMPT_S: Final = 1.0
+_FIRST_PAUSE_S: Final = 0.02
+_LONGEST_PAUSE_S: Final = 0.25
+_LOOK_AGAIN_S: Final = 1.0
+
+
+class _Unanswered(Exception):
+    """This attempt brought no answer; `pause_s` is when the server asked to be tried again."""
+
+    def __init__(self, reason: str, pause_s: float | None = None) -> None:
+        super().__init__(reason)
+        self.reason = reason
+        self.pause_s = pause_s
+
+
+@final
+class Transport:
+    """Queries and publications over one session; safe to use from many threads.
+
+    Attributes:
+        session: The Zenoh session beneath.
+    """
+
+    def __init__(self, connection: Connection) -> None:
+        self.session: Final = Session(connection)
+        self._trust = Trust()
+        self._found: tuple[float, str] | None = None
+        self._client = os.urandom(16)  # tells the server which calls are one client's
+
+    @property
+    def endpoint(self) -> str:
+        """Where the server is."""
+        return self.session.connection.endpoint
+
+    @property
+    def strangers(self) -> int:
+        """Answers that were ignored, as they came from another client and not from the server."""
+        return self._trust.strangers
+
+    def query(
+        self, key: str, kind: str, payload: bytes, deadline: float, *, patient: bool = False, optional: bool = False
+    ) -> bytes:
+        """Sends a query until it is answered.
+
+        Args:
+            key: Where to.
+            kind: Name of the message for its encoding, e.g. "predict".
+            payload: The message; the same bytes in every attempt.
+            deadline: When to give up [s, monotonic clock].
+            patient: One attempt may take all the time: for calls that work long. A lost connection still ends it. The
+                server is told how long the attempt lasts, and drops what would be answered too late.
+            optional: Give up at once where nobody serves the key: the caller knows another way.
+
+        Raises:
+            Invalid: The message is too large.
+            Unavailable: No answer in time; whether the request was executed is unknown.
+            Unsupported: Nobody serves an optional key.
+            CrkrError: The server's typed error.
+        """
+        if len(payload) > MAX_MESSAGE_BYTES:
+            raise Invalid(f"{kind} message has {len(payload)} bytes; the limit is {MAX_MESSAGE_BYTES}: split it")
+        started = time.monotonic()
+        reason = "no time"
+        attempt = 0
+        while True:
+            remaining = deadline - time.monotonic()
+            if remaining <= 0:
+                raise self._unavailable(key, time.monotonic() - started, attempt, reason)
+            limit = remaining if patient else _LATER_ATTEMPT_S if attempt else _FIRST_ATTEMPT_S
+            try:
+                return self._attempt(key, kind, payload, min(limit, remaining), patient=patient, optional=optional)
+            except _Unanswered as unanswered:
+                reason = unanswered.reason
+                pause = _pause(attempt) if unanswered.pause_s is None else unanswered.pause_s
+                if attempt == 0:
+                    _logger.info("%s at %s: %s; trying again", key, self.endpoint, reason)
+                self.session.pause(min(pause, max(0.0, deadline - time.monotonic())))
+            attempt += 1
+
+    def _attempt(
+        self, key: str, kind: str, payload: bytes, timeout_s: float, *, patient: bool, optional: bool
+    ) -> bytes:
+        try:
+            session = self.session.open(time.monotonic() + timeout_s)
+            told = CallMetadata(self._client, max(1, int(1000 * timeout_s))).to_bytes() if patient else None
+            with self.session.inside:
+                replies = session.get(
+                    key,
+                    zenoh.handlers.FifoChannel(4),
+                    payload=payload,
+                    encoding=encoding(kind),
+                    consolidation=zenoh.ConsolidationMode.NONE,  # hands over the reply without waiting for the end
+                    target=EVERYONE,
+                    timeout=timeout_s,
+                    attachment=told,
+                )
+                reply = self._trust.pick(session, replies)
+        except NotConnected as error:
+            raise _Unanswered(str(error)) from error
+        except NotTheServer as error:
+            raise _Unanswered(f"connected, but {error}") from error
+        except zenoh.ZError as error:
+            if optional and _nobody_serves(session, error):
+                raise Unsupported(f"{self.endpoint} does not serve {key} to this client") from error
+            raise _Unanswered(self._silence(session, error, timeout_s)) from error
+        return _open_reply(reply, key)
+
+    def _silence(self, session: zenoh.Session, error: zenoh.ZError, patience_s: float) -> str:
+        if session.is_closed():
+            return "the session was closed"
+        if not _is_empty(error):
+            return brief(error)
+        if not session.info.routers_zid():
+            return "not connected"
+        return self._whom(session, patience_s)
+
+    def _whom(self, session: zenoh.Session, patience_s: float) -> str:
+        """What it is that is connected and does not answer; looked at once a second."""
+        now = time.monotonic()
+        if self._found is None or now - self._found[0] > _LOOK_AGAIN_S:
+            self._found = now, silence_of(session, patience_s)
+        return self._found[1]
+
+    def _unavailable(self, key: str, tried_s: float, attempts: int, reason: str) -> Unavailable:
+        details = {
+            "endpoint": self.endpoint,
+            "key": key,
+            "tried_s": tried_s,
+            "attempts": attempts,
+            "reason": reason,
+        }
+        if self.session.peek() is None:
+            found = self.session.obstacle
+            what = "; start one: crkr server, or ask why: crkr doctor"
+            if found is not None and not found.absent:
+                what = f": {found.what} (`crkr doctor` tells more)"
+            message = f"no server at {self.endpoint} within {tried_s:.1f} s{what}"
+            return Unavailable(message, details=details)
+        ask = "" if reason.startswith("connected") else "is the server running? "
+        return Unavailable(
+            f"no answer from {self.endpoint} to {key} in {tried_s:.1f} s and {attempts} attempts ({reason}); "
+            f"{ask}`crkr doctor` tells more",
+            details=details,
+        )
+
+    def publish(self, key: str, kind: str, payload: bytes) -> None:
+        """Publishes if there is a connection, and drops it where there is none or it is congested; never waits."""
+        session = self.session.peek()
+        if session is None:
+            _logger.debug("not connected: dropped a publication on %s", key)
+            return
+        try:
+            session.put(
+                key,
+                payload,
+                encoding=encoding(kind),
+                congestion_control=zenoh.CongestionControl.DROP,
+                priority=zenoh.Priority.DATA_LOW,  # a picture never delays a report
+            )
+        except zenoh.ZError as error:
+            _logger.debug("dropped a publication on %s: %s", key, brief(error))
+
+    def connect(self, deadline: float) -> zenoh.Session:
+        """The open session, for tokens and subscriptions.
+
+        Raises:
+            Unavailable: No connection by the deadline.
+        """
+        started = time.monotonic()
+        attempt = 0
+        while True:
+            try:
+                return self.session.open(deadline)
+            except NotConnected as error:
+                if time.monotonic() >= deadline:
+                    raise self._unavailable(
+                        "its session", time.monotonic() - started, attempt + 1, str(error)
+                    ) from error
+            self.session.pause(min(_pause(attempt), max(0.0, deadline - time.monotonic())))
+            attempt += 1
+
+    def close(self) -> None:
+        """Closes the session."""
+        self.session.close()
+
+
+def _is_empty(error: zenoh.ZError) -> bool:
+    """Whether the question came to its end without a reply."""
+    return "empty and closed" in str(error)
+
+
+def _nobody_serves(session: zenoh.Session, error: zenoh.ZError) -> bool:
+    """Whether a server is there and has nothing under the key, or denies it to this client."""
+    return _is_empty(error) and not session.is_closed() and bool(session.info.routers_zid())
+
+
+def _pause(attempt: int) -> float:
+    """Doubling pauses with jitter, so that a fleet does not come back in step."""
+    return min(_LONGEST_PAUSE_S, _FIRST_PAUSE_S * 2.0 ** min(attempt, 10)) * random.uniform(0.75, 1.25)
+
+
+def _open_reply(reply: zenoh.Reply, key: str) -> bytes:
+    if reply.ok is not None:
+        check_encoding(str(reply.ok.encoding))
+        return reply.ok.payload.to_bytes()
+    if reply.err is None:
+        raise _Unanswered("an empty reply")
+    body = reply.err.payload.to_bytes()
+    if body == b"Timeout":  # Zenoh's own, when the attempt's time is over
+        raise _Unanswered("connected, but no reply in time")
+    try:
+        error = error_from_wire(unpack(body))
+    except Invalid as unreadable:
+        raise Internal(f"unreadable error reply to {key}: {unreadable.message}") from unreadable
+    if isinstance(error, Busy | ShuttingDown):
+        pause = None if error.retry_ms is None else min(max(error.retry_ms, 1), 1000) / 1000
+        raise _Unanswered(f"{error.code}: {error.message}", pause)
+    raise error

@@ -1,0 +1,92 @@
+"""Whose answers are the server's: any client may declare a queryable on the server's keys where nothing forbids it.
+
+Zenoh names the session that replied. The server's own session is the router that a client is connected to, and a router
+connects no second session with its id; so an answer of that router is the server's, and all others are ignored. Where
+another router stands in between, the session that answered first is taken for the server until it is gone: until a
+question to all comes to its end without an answer of it.
+"""
+
+from __future__ import annotations
+
+import logging
+from typing import Final, final
+
+import zenoh
+
+__all__ = ["EVERYONE", "NotTheServer", "Trust"]
+
+_logger = logging.getLogger(__name__)
+EVERYONE: Final = zenoh.QueryTarget.ALL  # or one who claims to answer for all would be asked in the server's place
+_TIMEOUT: Final = b"Timeout"  # Zenoh's own error, when the time of a question is over
+
+
+class NotTheServer(Exception):
+    """A question was answered, but not by the server."""
+
+
+@final
+class Trust:
+    """What a client knows of the server's session; safe to use from many threads.
+
+    Attributes:
+        strangers: Answers that were ignored, as they were not the server's.
+    """
+
+    def __init__(self) -> None:
+        self._server: zenoh.ZenohId | None = None
+        self._is_router = False
+        self.strangers = 0
+
+    def pick(self, session: zenoh.Session, replies: zenoh.handlers.Handler[zenoh.Reply]) -> zenoh.Reply:
+        """The server's reply, or Zenoh's own error, among those to one question.
+
+        Raises:
+            zenoh.ZError: The question has ended without an answer.
+            NotTheServer: It has ended with answers of others.
+        """
+        stranger: zenoh.Reply | None = None
+        while True:
+            try:
+                reply = replies.recv()
+            except zenoh.ZError:
+                if stranger is None:
+                    raise
+                if not self._is_router:
+                    return self._adopt(stranger)
+                raise NotTheServer(f"the answer was of another client, not of the server: {_name(stranger)}") from None
+            if self.is_server(session, reply) or _is_timeout(reply):
+                return reply
+            self._note(reply)
+            stranger = stranger or reply
+
+    def is_server(self, session: zenoh.Session, reply: zenoh.Reply) -> bool:
+        """Whether a reply is known to be the server's."""
+        replier = reply.replier_id
+        if replier is None:
+            return False
+        if replier.zid == self._server:
+            return True
+        if replier.zid in session.info.routers_zid():  # the first answer, or the first after a restart
+            self._server, self._is_router = replier.zid, True
+            return True
+        return False
+
+    def _adopt(self, reply: zenoh.Reply) -> zenoh.Reply:
+        """Takes another for the server, which a router stands before."""
+        if self._server is not None:
+            _logger.warning("another server answers, %s: the one before is gone", _name(reply))
+        self._server = None if reply.replier_id is None else reply.replier_id.zid
+        return reply
+
+    def _note(self, reply: zenoh.Reply) -> None:
+        self.strangers += 1
+        level = logging.WARNING if self.strangers == 1 else logging.DEBUG
+        _logger.log(level, "ignored an answer that is not the server's, but another client's: %s", _name(reply))
+
+
+def _is_timeout(reply: zenoh.Reply) -> bool:
+    return reply.replier_id is None and reply.err is not None and reply.err.payload.to_bytes() == _TIMEOUT
+
+
+def _name(reply: zenoh.Reply) -> str:
+    return "without a Zenoh id" if reply.replier_id is None else f"Zenoh id {reply.replier_id.zid}"

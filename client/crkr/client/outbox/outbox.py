@@ -1,0 +1,318 @@
+"""Reports that outlive the network: kept in a file first, sent when the server answers, and stored there once.
+
+A trial's id makes a repeated report harmless, so what was sent and not acknowledged is sent again: after a lost link, a
+restart of the server, or one of the robot.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Final, final
+from uuid import UUID
+
+from crkr.client.goals import check_receipt
+from crkr.client.network.forks import check_not_forked, is_forked
+from crkr.client.network.rpc import Rpc, positive, reading
+from crkr.client.outbox.outbox_file import OutboxFile, Refused
+from crkr.protocol import (
+    Conflict,
+    CrkrError,
+    Internal,
+    Invalid,
+    Prediction,
+    Receipt,
+    TaskSpec,
+    Unavailable,
+    make_trials,
+    task_key,
+)
+
+__all__ = ["Outbox"]
+
+_logger = logging.getLogger(__name__)
+_TOGETHER: Final = 256  # trials in a message; fewer where a link is too slow for that
+_STREAK: Final = 10  # messages that were delivered, until more trials are tried in one
+_ATTEMPT_S: Final = 3.0  # to send one
+_FIRST_PAUSE_S: Final = 0.1  # after a message that was not answered
+_LONGEST_PAUSE_S: Final = 2.0
+_JOIN_S: Final = 0.5
+
+
+@final
+class Outbox:
+    """Takes reports as `Task.report` does and delivers them in the background, in order; many threads may share it.
+
+    Attributes:
+        path: The file.
+        spec: The task's specification, as it was when the file was made.
+    """
+
+    def __init__(
+        self,
+        rpc: Rpc,
+        task: str,
+        path: Path,
+        look: Callable[[float | None], tuple[TaskSpec, bool]],
+        timeout_s: float | None = None,
+    ) -> None:
+        """Opens the file and goes on with what is in it; `Task.outbox` makes one.
+
+        Args:
+            rpc: What sends.
+            task: The task's name.
+            path: The file, made where it is not there.
+            look: Asks, by a deadline [s], for the task's specification and whether it is archived.
+            timeout_s: Deadline of asking, for a new file, which keeps the specification [s].
+
+        Raises:
+            StorageError: The file cannot be opened, is none of these, or is open already.
+            Conflict: It belongs to another task.
+            CrkrError: Whatever `look` raises.
+        """
+        self.path: Final = path
+        self._rpc, self._task, self._look = rpc, task, look
+        self._server: UUID | None = None  # whose task was found to be the one of these trials
+        self._most, self._streak = _TOGETHER, 0  # trials in the next message; messages delivered one after another
+        self._file = OutboxFile(path, task)
+        try:
+            self.spec: Final = self._file.spec or self._file.describe(look(timeout_s)[0])
+            self._pending = self._file.pending()
+        except BaseException:
+            self._file.close()
+            raise
+        self._changed = threading.Condition()
+        self._closing = threading.Event()
+        self._fault: CrkrError | None = None
+        self._defects = 0
+        self._thread = threading.Thread(target=self._deliver, name=f"crkr-outbox-{task}", daemon=True)
+        self._thread.start()
+
+    @property
+    def pending(self) -> int:
+        """How many trials are still to be delivered."""
+        return self._pending
+
+    @property
+    def fault(self) -> CrkrError | None:
+        """Why the last message was not delivered; None: it was."""
+        return self._fault
+
+    @property
+    def defects(self) -> int:
+        """Attempts to deliver that failed by no error of the protocol, but by a defect or for want of memory."""
+        return self._defects
+
+    def refused(self) -> list[Refused]:
+        """Trials that the server refused (`Invalid`, `Conflict`) or that cannot be read; they stay in the file."""
+        return self._file.refused()
+
+    def discard(self, refused: Sequence[Refused]) -> None:
+        """Forgets trials that were put aside, for good."""
+        self._file.discard([one.number for one in refused])
+
+    def report(
+        self,
+        answer: Prediction | None = None,
+        *,
+        state: object = None,
+        goal: object = None,
+        cost: object,
+        success: object,
+        kind: str = "trial",
+        id: UUID | bytes | Sequence[UUID | bytes] | None = None,  # noqa: A002 - the protocol's word
+        outcome: object = None,
+        worker: str | None = None,
+        model_version: int | None = None,
+        info: Mapping[str, Any] | Sequence[Mapping[str, Any]] | None = None,
+    ) -> tuple[UUID, ...]:
+        """Keeps what one trial or a batch cost; arguments as for `Task.report`.
+
+        Returns:
+            The ids, once the trials are in the file and on the disk. The server has them when `pending` says so.
+
+        Raises:
+            Invalid: A value of the wrong shape or out of range; nothing is kept.
+            StorageError: The file cannot be written; nothing is kept.
+            Unavailable: The outbox was closed.
+        """
+        check_not_forked()
+        trials = make_trials(
+            self.spec,
+            answer,
+            state=state,
+            goal=goal,
+            cost=cost,
+            success=success,
+            kind=kind,
+            id=id,
+            outcome=outcome,
+            worker=worker,
+            model_version=model_version,
+            info=info,
+        )
+        with self._changed:
+            if self._closing.is_set():
+                raise Unavailable(f"the outbox {self.path} is closed")
+            try:
+                self._file.add(trials)
+                self._pending += len(trials)
+            except CrkrError:
+                raise
+            except BaseException:  # an interrupt may come between the two
+                self._pending = self._file.pending()
+                raise
+            finally:
+                self._changed.notify_all()
+        return tuple(trial.id for trial in trials)
+
+    def flush(self, timeout_s: float) -> None:
+        """Waits until all is delivered or refused.
+
+        Raises:
+            Invalid: A time that is not positive and finite.
+            Unavailable: Some is not by the deadline, or the outbox was closed; it stays in the file.
+        """
+        check_not_forked()
+        with self._changed:
+            self._changed.wait_for(lambda: not self._pending or self._closing.is_set(), positive(timeout_s))
+            left = self._pending
+        if left:
+            why = f": {self._fault.message}" if self._fault is not None else ""
+            raise Unavailable(f"{left} trials are still in the outbox {self.path}{why}", details={"pending": left})
+
+    def close(self) -> None:
+        """Ends delivering and frees the file, which keeps what is left for the next time; idempotent."""
+        if is_forked():
+            return
+        with self._changed:
+            self._closing.set()
+            self._changed.notify_all()
+        if threading.current_thread() is not self._thread:
+            self._thread.join(_JOIN_S)  # what is under way is sent again the next time, if need be
+        self._file.close()
+
+    def __repr__(self) -> str:
+        fault = self._fault.code if self._fault is not None else None
+        defects = f", defects={self._defects}" if self._defects else ""
+        return f"Outbox({str(self.path)!r}, task={self._task!r}, pending={self._pending}, fault={fault}{defects})"
+
+    def __enter__(self) -> Outbox:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _deliver(self) -> None:
+        pause, over = 0.0, False
+        while not over:
+            try:
+                over = self._closing.wait(pause) or self._deliver_once()
+                pause = 0.0
+            except BaseException as error:  # whatever it is, the trials are in the file; the next attempt may do better
+                over = self._closing.is_set()
+                if not over:
+                    self._note(error)
+                pause = min(max(2.0 * pause, _FIRST_PAUSE_S), _LONGEST_PAUSE_S)
+
+    def _deliver_once(self) -> bool:
+        """Waits for trials and sends some; whether the outbox was closed."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._pending or self._closing.is_set())
+        if self._closing.is_set():
+            return True
+        self._send_next()
+        return False
+
+    def _note(self, error: BaseException) -> None:
+        if isinstance(error, CrkrError):
+            known = error
+        else:
+            self._defects += 1
+            known = Internal(f"the outbox {self.path} failed: {error!r:.500}")
+        if self._fault is None:
+            _logger.info("%d trials wait in %s: %s", self._pending, self.path, known.message)
+        self._fault, self._server = known, None
+
+    def _send_next(self) -> None:
+        self._check_task()
+        rows = self._file.next(self._most)
+        whole = [(number, trial) for number, trial in rows if trial is not None]
+        for number in {number for number, _ in rows} - {number for number, _ in whole}:
+            self._put_aside(number, f"STORAGE: {self._file.why_unreadable(number)}")
+        if whole:
+            try:
+                self._send(whole)
+            except Unavailable:  # perhaps the link carries less in the time
+                self._most, self._streak = max(len(whole) // 2, 1), 0
+                raise
+            self._streak += 1
+            if self._streak % _STREAK == 0:
+                self._most = min(2 * self._most, _TOGETHER)
+        elif not rows:
+            with self._changed:
+                self._pending = self._file.pending()
+        with self._changed:
+            self._fault = None
+            self._changed.notify_all()
+
+    def _send(self, rows: list[tuple[int, dict[str, Any]]]) -> None:
+        """Sends trials together; where one of them is refused, by halves, until it is found."""
+        try:
+            message = {"trials": [trial for _, trial in rows]}
+            reply = self._rpc.call(task_key(self._task, "report"), message, _ATTEMPT_S)
+            with reading("report"):
+                check_receipt(Receipt.from_wire(reply), len(rows))
+        except (Invalid, Conflict) as error:
+            if len(rows) > 1:
+                middle = len(rows) // 2
+                self._send(rows[:middle])
+                self._send(rows[middle:])
+                return
+            self._check_task(anew=True)  # it may be the task that is wrong, not the trial
+            self._put_aside(rows[0][0], f"{error.code}: {error.message}")
+            return
+        self._check_task()  # one with other data may have answered
+        with self._changed:
+            self._file.delivered([number for number, _ in rows])
+            self._pending -= len(rows)
+
+    def _put_aside(self, number: int, error: str) -> None:
+        with self._changed:
+            self._file.refuse(number, error)
+            self._pending -= 1
+        _logger.warning("trial %d of the outbox %s was put aside: %s", number, self.path, error)
+
+    def _check_task(self, *, anew: bool = False) -> None:
+        """Raises `Conflict` where the server has another task of that name, and `Invalid` where it is archived."""
+        server = self._rpc.server_id(_ATTEMPT_S)
+        if server == self._server and not anew:
+            return
+        spec, archived = self._look(_ATTEMPT_S)
+        if differences := _differences(self.spec, spec):
+            raise Conflict(
+                f"task {self._task!r} at {self._rpc.transport.endpoint} is another than that of the trials in "
+                f"{self.path}: its {', '.join(differences)} differ; bring back its data, or begin another outbox",
+                details={"fields": differences},
+            )
+        if archived:
+            raise Invalid(f"task {self._task!r} is archived and takes no reports; {self.path} keeps them")
+        self._server = server
+
+
+def _differences(mine: TaskSpec, theirs: TaskSpec) -> dict[str, list[Any]]:
+    """What makes a trial mean something else: name -> [mine, theirs]."""
+    both = [
+        {
+            "state": [(axis.name, axis.unit) for axis in spec.state],
+            "goal": [(axis.name, axis.unit, axis.low, axis.high) for axis in spec.goal],
+            "outcome": [(entry.name, entry.unit) for entry in spec.outcome],
+        }
+        for spec in (mine, theirs)
+    ]
+    return {name: [both[0][name], both[1][name]] for name in both[0] if both[0][name] != both[1][name]}

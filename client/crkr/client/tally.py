@@ -1,0 +1,107 @@
+"""Success by criterion: what a trial says of it, counts over many trials, and how sure a rate is."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Final, final
+
+import numpy as np
+
+__all__ = ["Tally", "stated_epoch", "success_by_criterion", "wilson_interval"]
+
+LARGEST_EPOCH: Final = 2**31 - 1
+Z95: Final = 1.959963984540054  # the 97.5 % point of the standard normal
+
+
+def stated_epoch(info: Mapping[str, Any]) -> int | None:
+    """The epoch that a trial says it belongs to, or None.
+
+    An evaluation without one was made by hand: it is no point of the learning curve. What is not a whole number from 0
+    to 2**31 - 1 is read as none, because anybody may write to the log.
+    """
+    epoch = info.get("epoch")
+    return epoch if type(epoch) is int and 0 <= epoch <= LARGEST_EPOCH else None
+
+
+def success_by_criterion(success: bool, info: Mapping[str, Any]) -> dict[str, bool]:
+    """Success by every criterion that the skill has: the truth values in `info["outcomes"]`, else just "success".
+
+    Args:
+        success: What the skill chose to learn from.
+        info: The trial's.
+    """
+    outcomes = info.get("outcomes")
+    named = outcomes.items() if isinstance(outcomes, Mapping) else ()
+    met = {name: bool(value) for name, value in named if isinstance(name, str) and isinstance(value, bool | np.bool_)}
+    return met or {"success": success}
+
+
+@final
+@dataclass(slots=True)
+class Tally:
+    """Trials and their successes; a criterion's rate is over the trials that said whether they met it.
+
+    Attributes:
+        trials: How many were counted.
+        judged: By criterion, in order of appearance: how many said whether they met it.
+        successes: How many of these met it.
+    """
+
+    trials: int = 0
+    judged: Counter[str] = field(default_factory=Counter)
+    successes: Counter[str] = field(default_factory=Counter)
+
+    def add(self, met: Mapping[str, bool]) -> None:
+        """Counts a trial, given as `success_by_criterion` tells it."""
+        self.trials += 1
+        for name, success in met.items():
+            self.judged[name] += 1
+            self.successes[name] += bool(success)
+
+    def remove(self, met: Mapping[str, bool]) -> None:
+        """Takes back a trial that was counted."""
+        self.trials -= 1
+        for name, success in met.items():
+            self.judged[name] -= 1
+            self.successes[name] -= bool(success)
+
+    @property
+    def criteria(self) -> tuple[str, ...]:
+        """Criteria that some trial was judged by, in order of appearance."""
+        return tuple(name for name, count in self.judged.items() if count > 0)
+
+    def rate(self, criterion: str) -> float:
+        """Share of the judged trials that met the criterion; NaN without any."""
+        judged = self.judged[criterion]
+        return self.successes[criterion] / judged if judged else math.nan
+
+    def rates(self) -> dict[str, float]:
+        """The rate of every criterion that some trial was judged by."""
+        return {name: self.rate(name) for name in self.criteria}
+
+    def interval(self, criterion: str) -> tuple[float, float]:
+        """Wilson's 95 % interval of a rate; (0, 1) without any trial."""
+        return wilson_interval(self.successes[criterion], self.judged[criterion])
+
+    def intervals(self) -> dict[str, tuple[float, float]]:
+        """The interval of every criterion that some trial was judged by."""
+        return {name: self.interval(name) for name in self.criteria}
+
+
+def wilson_interval(successes: int, count: int, z: float = Z95) -> tuple[float, float]:
+    """Wilson's score interval for a proportion  [Wilson1927].
+
+    Args:
+        successes: How many succeeded.
+        count: Of how many; none gives (0, 1).
+        z: Standard normal quantile, the default for 95 %.
+    """
+    if count == 0:
+        return 0.0, 1.0
+    rate, shrink = successes / count, 1.0 + z * z / count
+    centre = (rate + z * z / (2 * count)) / shrink
+    half = z / shrink * math.sqrt(rate * (1.0 - rate) / count + z * z / (4 * count * count))
+    return max(0.0, centre - half), min(1.0, centre + half)

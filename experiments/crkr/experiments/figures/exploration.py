@@ -1,0 +1,106 @@
+"""How exploration narrows, on a task of one state and one goal that fits a page  [Cardoso2017, fig. 4]."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, final
+from uuid import UUID
+
+import numpy as np
+
+from crkr.learner import Learner
+from crkr.protocol import Array, TaskSpec
+from crkr.sim_worker.figure import new_figure, save_figure
+
+__all__ = ["Moment", "draw_exploration", "explored"]
+
+ITERATIONS: Final = (0, 5, 50)
+WIDTH: Final = 0.6  # a of [Cardoso2017, eq. 8], in units of the goal
+SHOWN: Final = 201  # states of a curve
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """What is known after some iterations.
+
+    Attributes:
+        iterations: Exploring trials so far.
+        states: (n,) of the samples, the demonstration first.
+        goals: (n,) that were tried.
+        costs: (n,) in [0, 1].
+        shown: (SHOWN,) states of the curves.
+        mean: (SHOWN,) the policy.
+        sigma: (SHOWN,) its exploration noise, one standard deviation.
+    """
+
+    iterations: int
+    states: Array
+    goals: Array
+    costs: Array
+    shown: Array
+    mean: Array
+    sigma: Array
+
+
+def best_goal(state: Array) -> Array:
+    """What costs nothing; the learner is not told."""
+    return np.sin(state) + 0.3 * state
+
+
+def explored(seed: int) -> list[Moment]:
+    """The moments after `ITERATIONS` trials: each in a random state, the goal drawn by the policy."""
+    learner = Learner(_specification(seed))
+    rng = np.random.default_rng(seed)
+    moments = []
+    for trial in range(max(ITERATIONS) + 1):
+        if trial == 0:
+            state = np.array([3.0])
+            learner.report(state=state, goal=best_goal(state), cost=0.0, success=True, kind="demonstration")
+        else:
+            answer = learner.predict(rng.uniform(0.0, 10.0, 1), explore=True, trial_ids=UUID(bytes=rng.bytes(16)))
+            missed = answer.goal - best_goal(answer.state)
+            cost = float(1.0 - np.exp(-(missed @ missed) / (2.0 * WIDTH**2)))
+            learner.report(answer, cost=cost, success=cost < 0.5)
+        if trial in ITERATIONS:
+            moments.append(_moment(learner, trial))
+    return moments
+
+
+def _specification(seed: int) -> TaskSpec:
+    state = {"name": "state", "low": 0.0, "high": 10.0, "lengthscale": 1.5}
+    goal = {"name": "goal", "low": -6.0, "high": 9.0, "scale": 1.0}
+    fields: dict[str, Any] = {"name": "narrowing", "state": [state], "goal": [goal], "seed": seed}
+    return TaskSpec.from_dict({**fields, "learn_from": "all", "cost_map": "odds", "noise_floor": 1e-3})
+
+
+def _moment(learner: Learner, iterations: int) -> Moment:
+    shown = np.linspace(0.0, 10.0, SHOWN)
+    answer, model = learner.predict(shown[:, None]), learner.model
+    return Moment(
+        iterations, model.states[:, 0], model.goals[:, 0], model.costs, shown, answer.means[:, 0], answer.sigmas[:, 0]
+    )
+
+
+def draw_exploration(moments: list[Moment], path: Path) -> None:
+    """Saves one panel a moment: the policy, its noise, and the trials with their costs as bars."""
+    figure = new_figure(4.0 * len(moments), 3.6)
+    panels = figure.subplots(1, len(moments), sharey=True, squeeze=False)[0]
+    for panel, moment in zip(panels, moments, strict=True):
+        low, high = moment.mean - moment.sigma, moment.mean + moment.sigma
+        panel.fill_between(
+            moment.shown, low, high, color="#f4a6c0", alpha=0.6, linewidth=0, label="exploration, ±1 sigma"
+        )
+        panel.plot(
+            moment.shown, best_goal(moment.shown), color="0.4", linestyle="--", label="best goals, unknown to it"
+        )
+        panel.plot(moment.shown, moment.mean, color="#0072b2", label="policy")
+        bars = {"fmt": "o", "color": "black", "markersize": 3, "elinewidth": 1, "capsize": 2}
+        panel.errorbar(moment.states, moment.goals, yerr=moment.costs, label="trials, bars: cost", **bars)
+        after = f"and {moment.iterations} trials" if moment.iterations else "alone"
+        panel.set(title=f"after a demonstration {after}", xlabel="state", xlim=(0, 10))
+        panel.grid(alpha=0.3)
+    panels[0].set_ylabel("goal")
+    panels[0].legend(loc="upper left", fontsize="small")
+    save_figure(figure, path)

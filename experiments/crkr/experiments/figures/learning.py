@@ -1,0 +1,64 @@
+"""The learning curves of several runs in one figure."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from crkr.experiments.learning.run import LearningRun
+from crkr.sim_worker.figure import new_figure, save_figure
+
+__all__ = ["draw_learning"]
+
+COLOURS: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7")  # told apart by the colour-blind too
+EARLY: Final = 50  # trials up to which the horizontal axis is linear
+DASH: Final = 3.0  # [points]
+
+
+def draw_learning(runs: Sequence[LearningRun], oracle: Mapping[str, float], title: str, path: Path) -> None:
+    """Saves mean, worst and best run of every criterion over the training trials, as the suffix of `path` says.
+
+    Args:
+        runs: At least one, watched.
+        oracle: The planner's rates by criterion, drawn as dashed lines; may be empty.
+        title: Of the figure.
+        path: E.g. learning.png.
+    """
+    figure = new_figure(7.0, 4.2)
+    axes = figure.add_subplot()
+    shown: list[tuple[Any, str]] = []
+    trials = [score.trials for score in runs[0].curve]
+    for index, criterion in enumerate(runs[0].final.tally.criteria):
+        colour = COLOURS[index % len(COLOURS)]
+        rates = np.array([[score.tally.rate(criterion) for score in run.curve] for run in runs])  # (runs, points)
+        what = f"{criterion}: mean and range of {len(runs)} runs" if len(runs) > 1 else f"{criterion}: one run"
+        band = axes.fill_between(trials, rates.min(axis=0), rates.max(axis=0), color=colour, alpha=0.2, linewidth=0)
+        (line,) = axes.plot(trials, rates.mean(axis=0), color=colour, marker=".")
+        shown.append(((band, line), what))
+        if criterion in oracle:
+            # Criteria often agree about the planner: each has its dashes where the one before has its gaps.
+            dashes = (DASH * index, (DASH, DASH * (len(oracle) - 1) or DASH))
+            planned = axes.axhline(oracle[criterion], color=colour, linestyle=dashes)
+            shown.append((planned, f"{criterion}: planner, {oracle[criterion]:.3f}"))
+    contexts = runs[0].curve[0].contexts
+    axes.set(title=title, ylabel=f"success rate in {contexts} contexts", ylim=(0.0, 1.01))
+    axes.set_xscale("symlog", linthresh=EARLY, linscale=0.7)  # much is learned early
+    ticks = _apart(trials)
+    axes.set_xticks(ticks, [str(tick) for tick in ticks])
+    axes.set_xticks([], minor=True)
+    axes.set(xlabel=f"training trials, logarithmic from {EARLY}", xlim=(0, trials[-1]))
+    axes.grid(alpha=0.3)
+    axes.legend(*zip(*shown, strict=True), loc="lower right")
+    save_figure(figure, path)
+
+
+def _apart(trials: Sequence[int]) -> list[int]:
+    """Those whose labels have room, the last one among them."""
+    ticks: list[int] = []
+    for trial in reversed(trials):
+        if not ticks or trial < EARLY or ticks[-1] > 1.4 * trial:
+            ticks.append(trial)
+    return ticks

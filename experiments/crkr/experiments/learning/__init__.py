@@ -1,0 +1,5 @@
+"""Whole runs of learning without a server, over many seeds."""
+
+from __future__ import annotations
+
+__all__: list[str] = []

@@ -1,0 +1,126 @@
+"""The numbers that a task may have: their products, quotients and sums stay numbers, and no task is too large to serve.
+
+A specification that was accepted by an earlier version may have others. It is read as ever, so these limits hold where
+a number is new: at `create_task`, and at `configure` for what changes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Final
+
+from crkr.protocol.errors import Invalid
+
+if TYPE_CHECKING:
+    from crkr.protocol.specification.task_spec import TaskSpec
+
+__all__ = ["MOST_ACTIVE", "MOST_KEPT", "refuse_absurd"]
+
+MOST_ACTIVE: Final = 5000  # samples in a model: a new one takes about a second then, and 200 MB
+MOST_KEPT: Final = 3000  # samples that the selector "full", which has no budget, learns from
+_LARGEST: Final = 1e100  # coordinates in their units, whose squares are numbers too
+_SMALLEST: Final = 1e-100  # lengths in the units of their coordinates
+_FINEST: Final = 1e12  # times its length is what a coordinate may be or span: float64 tells no more apart
+_LEAST_VARIANCE: Final = 1e-12  # of scaled goals
+_LEAST: Final = 1e-30  # of settings in scaled units that are not zero
+_MOST_TEMPERATURES: Final = 64
+_MOST_STEPS: Final = (
+    2e8  # multiplications that the outcome model may take for one prediction: about a tenth of a second
+)
+
+_Fault = tuple[str, str]  # a field, and what is wrong with it
+
+
+def refuse_absurd(spec: TaskSpec, before: TaskSpec | None = None) -> None:
+    """Raises `Invalid` for the first number that is beyond the limits.
+
+    Args:
+        spec: What is to be served.
+        before: What was served until now; its own faults are not held against the change.
+    """
+    known = set() if before is None else set(_faults(before))
+    for field, wrong in _faults(spec):
+        if (field, wrong) not in known:
+            raise Invalid(f"{field} {wrong}", details={"field": field})
+
+
+def _faults(spec: TaskSpec) -> Iterator[_Fault]:
+    for index, state in enumerate(spec.state):
+        where = f"state[{index}]"
+        yield from _box(where, state.low, state.high)
+        yield from _length(f"{where}.lengthscale", state.lengthscale, state.high - state.low)
+        if not state.high - state.low <= _FINEST * state.lengthscale:
+            yield f"{where}.lengthscale", f"must be at least {1 / _FINEST:g} of high - low; got {state.lengthscale}"
+    for index, goal in enumerate(spec.goal):
+        where = f"goal[{index}]"
+        yield from _box(where, goal.low, goal.high)
+        yield from _length(f"{where}.scale", goal.scale, goal.high - goal.low)
+        if not max(abs(goal.low), abs(goal.high)) <= _FINEST * goal.scale:
+            yield f"{where}.scale", f"must be at least {1 / _FINEST:g} of the bounds; got {goal.scale}"
+    for index, entry in enumerate(spec.outcome):
+        where = f"outcome[{index}]"
+        yield from _within(f"{where}.target", entry.target, -_LARGEST, _LARGEST)
+        yield from _within(f"{where}.tolerance", entry.tolerance, _SMALLEST, _LARGEST)
+        if not abs(entry.target) <= _FINEST * entry.tolerance:
+            yield f"{where}.tolerance", f"must be at least {1 / _FINEST:g} of the target; got {entry.tolerance}"
+    yield from _settings(spec)
+    yield from _exploration(spec)
+    yield from _size(spec)
+
+
+def _settings(spec: TaskSpec) -> Iterator[_Fault]:
+    yield from _within("kernel.signal_variance", spec.kernel.signal_variance, _LEAST_VARIANCE)
+    yield from _zero_or("kernel.linear_weight", spec.kernel.linear_weight, _LEAST_VARIANCE)
+    yield from _within("noise_floor", spec.noise_floor, _LEAST)
+    yield from _within("regularisation", spec.regularisation, _LEAST)
+    yield from _zero_or("explore_scale", spec.explore_scale, _LEAST)
+    yield from _zero_or("exploration_floor", spec.exploration_floor, _LEAST)
+
+
+def _exploration(spec: TaskSpec) -> Iterator[_Fault]:
+    own = spec.exploration
+    yield from _within("exploration.trust", own.trust, _LEAST)
+    yield from _within("exploration.temperature", min(own.temperature), _LEAST)
+    yield from _zero_or("exploration.gate", own.gate, _LEAST)
+    yield from _within("exploration.gate", own.gate, 0.0, _LARGEST)
+    if len(own.temperature) > _MOST_TEMPERATURES:
+        yield "exploration.temperature", f"must have at most {_MOST_TEMPERATURES} entries; got {len(own.temperature)}"
+    if own.type == "outcome":
+        width, groups = 1 + len(spec.state) + len(spec.goal), len({entry.group for entry in spec.outcome})
+        steps = own.iterations * groups * own.neighbours * width * width
+        if steps > _MOST_STEPS:
+            yield (
+                "exploration.neighbours",
+                "times exploration.iterations, groups of outcomes and the square of 1 + states + goals must be at most "
+                f"{_MOST_STEPS:.0f}, or a prediction holds others up; got {steps}",
+            )
+
+
+def _size(spec: TaskSpec) -> Iterator[_Fault]:
+    if spec.budget > MOST_ACTIVE:
+        yield "budget", f"must be at most {MOST_ACTIVE}, or learning takes seconds a trial; got {spec.budget}"
+
+
+def _box(where: str, low: float, high: float) -> Iterator[_Fault]:
+    yield from _within(f"{where}.low", low, -_LARGEST, _LARGEST)
+    yield from _within(f"{where}.high", high, -_LARGEST, _LARGEST)
+    if low < high:
+        yield from _within(f"{where}.high - low", high - low, _SMALLEST)
+
+
+def _length(field: str, length: float, span: float) -> Iterator[_Fault]:
+    yield from _within(field, length, _SMALLEST, _LARGEST)
+    if span > 0 and not length <= _FINEST * span:
+        yield field, f"must be at most {_FINEST:g} times high - low; got {length}"
+
+
+def _within(field: str, value: float, low: float, high: float = math.inf) -> Iterator[_Fault]:
+    if not low <= value <= high:
+        wanted = f"at least {low:g}" if high == math.inf else f"in [{low:g}, {high:g}]"
+        yield field, f"must be {wanted}; got {value!r}"
+
+
+def _zero_or(field: str, value: float, least: float) -> Iterator[_Fault]:
+    if 0 < value < least:
+        yield field, f"must be 0, or at least {least:g}; got {value!r}"

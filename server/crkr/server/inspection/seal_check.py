@@ -1,0 +1,132 @@
+"""Looks every row of a long log over after a restart, which itself reads only what learning needs of it.
+
+A trial's seal covers who reported it, when, and what it said besides. To check a million of them takes as long as the
+whole restart, so it is done afterwards, by a process of its own at the lowest priority:
+`python -m crkr.server.inspection.seal_check DATABASE '{"TASK": POSITION}'`.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import IO, Final, final
+
+from crkr.protocol import StorageError
+from crkr.server.installed_code import InstalledCode
+from crkr.server.log import SqliteReader
+from crkr.server.thread_faults import run_once
+
+__all__ = ["SealCheck"]
+
+logger = logging.getLogger(__name__)
+
+_DELAY_S: Final = 2.0  # whoever waited for the restart comes first
+_LEAST_PRIORITY: Final = 19
+
+
+@final
+class SealCheck:
+    """Checks the rows that were there at the start, once.
+
+    Args:
+        path: The log's database.
+        tasks: Name -> log position up to which it is looked over.
+        damaged: Told of a task and what is wrong with its first damaged row.
+    """
+
+    def __init__(self, path: Path, tasks: Mapping[str, int], damaged: Callable[[str, str], None]) -> None:
+        self._path, self._tasks, self._damaged = path, dict(tasks), damaged
+        self._stopped, self._starting = threading.Event(), threading.Lock()
+        self._process: subprocess.Popen[str] | None = None
+        self._code = InstalledCode()
+        self._thread = threading.Thread(target=run_once, args=(self._run,), name="seals", daemon=True)
+
+    def start(self) -> None:
+        """Begins, unless there is nothing to check."""
+        if self._tasks:
+            self._thread.start()
+
+    def stop(self) -> None:
+        """Gives up, and ends the process."""
+        self._stopped.set()
+        with self._starting:
+            if self._process is not None:
+                self._process.terminate()
+        if self._thread.is_alive():
+            self._thread.join(0.5)
+
+    def _run(self) -> None:
+        if self._stopped.wait(_DELAY_S):
+            return
+        if self._code.is_replaced:
+            logger.warning("the rows of the task log are not looked over: crkr was upgraded or removed; restart it")
+            return
+        # -P: a file in the working directory that is called as a module of Python's is not one.
+        command = [
+            sys.executable,
+            "-P",
+            "-m",
+            "crkr.server.inspection.seal_check",
+            str(self._path),
+            json.dumps(self._tasks),
+        ]
+        try:
+            with self._starting:
+                if self._stopped.is_set():
+                    return
+                # In a group of its own: Ctrl-C is for the server, which ends this process.
+                self._process = subprocess.Popen(
+                    command,
+                    stdin=subprocess.DEVNULL,
+                    stdout=subprocess.PIPE,
+                    text=True,
+                    process_group=0,
+                    encoding="utf-8",
+                )
+                os.setpriority(os.PRIO_PROCESS, self._process.pid, _LEAST_PRIORITY)
+        except OSError as error:
+            logger.warning("the rows of the task log are not looked over: %s", error.strerror)
+            return
+        with self._process as process:
+            if process.stdout is not None:
+                self._listen(process.stdout)
+        if process.returncode and not self._stopped.is_set():
+            logger.warning("the rows of the task log were not looked over to the end: status %s", process.returncode)
+
+    def _listen(self, told: IO[str]) -> None:
+        for line in told:
+            task, damage = json.loads(line)
+            if damage:
+                logger.error("task %s: %s", task, damage)
+                self._damaged(task, damage)
+            else:
+                logger.info("task %s: every row is as it was stored", task)
+
+
+def main(path: Path, tasks: Mapping[str, int]) -> None:
+    """The process: tells of each task what is wrong with it, "" where all is well."""
+    with suppress(BrokenPipeError):  # the server is gone
+        for task, upto in tasks.items():
+            sys.stdout.write(json.dumps([task, _damage(path, task, upto)]) + "\n")
+            sys.stdout.flush()
+
+
+def _damage(path: Path, task: str, upto: int) -> str:
+    try:
+        reader = SqliteReader(path)
+        reader.check(task, upto)
+    except StorageError as error:
+        return error.message
+    reader.close()
+    return ""
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), json.loads(sys.argv[2]))

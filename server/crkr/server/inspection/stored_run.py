@@ -1,0 +1,112 @@
+"""A task's stored trials without its server, or beside it: what `crkr watch --replay` asks for by entry point.
+
+The log is read page by page and nothing is locked or written, so that a server goes on as if nobody looked.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Final, final
+
+from crkr.protocol import CrkrError, StorageError, StoredTrial, TaskSpec, UnknownTask
+from crkr.server.log import Event, SqliteReader
+from crkr.server.log.acknowledged_count import lost_end, read_tally
+from crkr.server.log.schema import FILE_NAME
+
+__all__ = ["StoredRun"]
+
+_MOST_BYTES: Final = 2**24
+
+
+@final
+class StoredRun:
+    """One task of a data directory, as its log is at this moment; to be used from one thread.
+
+    Args:
+        directory: Data directory of a server.
+        task: The task's name.
+
+    Attributes:
+        spec: The specification in force.
+        last: Log position of the last entry; what a server adds later is left out.
+
+    Raises:
+        StorageError: There is no log, or it is damaged.
+        UnknownTask: No such task; the message names those that there are.
+    """
+
+    def __init__(self, directory: Path, task: str) -> None:
+        if not directory.is_dir():
+            raise StorageError(f"there is no data directory {directory}")
+        acknowledged = read_tally(directory)  # before the log, which a server may add to meanwhile
+        self._reader = SqliteReader(directory / FILE_NAME)
+        self._task = task
+        try:
+            positions = self._reader.positions()
+            if (held := sum(positions.values())) < acknowledged:
+                raise StorageError(f"{lost_end(self._reader.path, held, acknowledged)}; restore a backup")
+            if task not in positions:
+                there = f"it has {', '.join(positions)}" if positions else "it has none yet"
+                raise UnknownTask(f"{directory} holds no task {task!r}; {there}", details={"task": task})
+            self.last: Final = positions[task]
+            self.spec: Final = self._in_force()
+        except BaseException:
+            self._reader.close()
+            raise
+
+    def pages(self, size: int) -> Iterator[tuple[list[StoredTrial], dict[str, Any]]]:
+        """All trials in the order of seq, at most `size` at a time, each page with what the learner then had.
+
+        That is `seq`, `eligible` and `active` as a server's status says them, counted with the costs, marks and
+        settings of today.
+
+        Raises:
+            StorageError: A trial is not what was stored.
+        """
+        eligible, after = 0, 0
+        following: int | None = 0
+        while following is not None:
+            entries, following = self._reader.page(self._task, after, size, _MOST_BYTES)
+            trials = [self._trial(entry) for entry in entries if entry["seq"] <= self.last]
+            if not trials:
+                return
+            after = trials[-1].seq
+            eligible += sum(map(self._is_eligible, trials))
+            active = eligible if self.spec.selector == "full" else min(eligible, self.spec.budget)
+            yield trials, {"seq": after, "eligible": eligible, "active": active}
+
+    def close(self) -> None:
+        """Lets go of the log; idempotent."""
+        self._reader.close()
+
+    def _in_force(self) -> TaskSpec:
+        """Reads the whole log once, which finds missing entries, for the settings that changed."""
+        first = next(self._reader.read(self._task), None)
+        if not isinstance(first, Event) or first.kind != "create":
+            raise StorageError(f"the log of task {self._task!r} does not begin with its creation; restore a backup")
+        try:
+            spec = TaskSpec.from_dict(first.body["spec"])
+            for entry in self._reader.blocks(self._task, len(spec.state), len(spec.goal), 0, self.last):
+                if isinstance(entry, Event) and entry.kind == "configure":
+                    spec = spec.with_changes(entry.body["changes"])
+        except StorageError:
+            raise
+        except (CrkrError, LookupError) as error:
+            raise StorageError(
+                f"the log of task {self._task!r} holds settings that cannot be: {error}; restore a backup"
+            ) from error
+        return spec
+
+    def _trial(self, entry: dict[str, Any]) -> StoredTrial:
+        try:
+            return StoredTrial.from_wire(entry, self.spec)
+        except CrkrError as error:
+            raise StorageError(
+                f"the trial at log position {entry['seq']} is damaged: {error.message}; restore a backup"
+            ) from error
+
+    def _is_eligible(self, stored: StoredTrial) -> bool:
+        trial = stored.trial
+        tried = trial.kind == "trial" and (trial.success or self.spec.learn_from == "all")
+        return not stored.removed and (tried or trial.kind == "demonstration")

@@ -1,0 +1,184 @@
+"""Fits of the kernel, in a process of their own: the seconds they take must not be the predictions' seconds."""
+
+from __future__ import annotations
+
+import logging
+import math
+import multiprocessing
+import signal
+import threading
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future
+from contextlib import suppress
+from multiprocessing.connection import Connection
+from typing import Any, Final, final
+
+from crkr.learner import FitProblem, FitResult, check_fit, fit
+from crkr.protocol import CrkrError, Internal, ShuttingDown, Unsupported
+from crkr.server.installed_code import InstalledCode
+from crkr.server.learning.tasks import ServedTask, Tasks
+from crkr.server.learning.thread import Learning
+from crkr.server.queries.queue import shutting_down
+from crkr.server.queries.request import Job, Request
+from crkr.server.verbs.admin import Change
+from crkr.server.verbs.report import Writer, refuse_archived
+
+__all__ = ["DueFit", "Fitting"]
+
+logger = logging.getLogger(__name__)
+
+_PATIENCE_S: Final = 120.0
+_POLL_S: Final = 0.2
+
+
+@final
+class DueFit:
+    """A fit that nobody asked for: `refit_every` trials have come. Its answers go to the log of the process."""
+
+    verb = "refit"
+    size = 0
+    client = b""
+    received = 0.0
+    deadline = math.inf
+    left = 0.0
+
+    def __init__(self, task: str) -> None:
+        self.task = task
+        self.answered = self.held = False
+
+    def reply(self, message: Mapping[str, Any]) -> None:
+        """Takes note of the result."""
+        self.answered = True
+        logger.info("fit of task %s: %s", self.task, "accepted" if message["accepted"] else "nothing better found")
+
+    def fail(self, error: CrkrError) -> None:
+        """Takes note of the failure."""
+        self.answered = True
+        logger.warning("fit of task %s failed: %s", self.task, error.message)
+
+    def fail_unexpectedly(self, error: BaseException) -> None:
+        """Takes note of the failure; a defect's traceback is told."""
+        if isinstance(error, CrkrError):
+            self.fail(error)
+            return
+        self.answered = True
+        logger.error("fit of task %s failed", self.task, exc_info=error)
+
+
+@final
+class Fitting:
+    """The work of the refit lane, and the process behind it, which is started at the first fit."""
+
+    def __init__(self, tasks: Tasks, learning: Learning, writer: Writer) -> None:
+        self._tasks, self._learning, self._writer = tasks, learning, writer
+        self._process: multiprocessing.process.BaseProcess | None = None
+        self._pipe: Connection | None = None
+        self._stopped = threading.Event()
+        self._code = InstalledCode()
+
+    def work(self, jobs: list[Job]) -> None:
+        """Fits, stores what was better, and answers."""
+        for job in jobs:
+            task = self._tasks.get(job.task)
+            if isinstance(job, Request):
+                job.message()
+            refuse_archived(task)
+            configured = task.configured
+            result = self._fit(self._problem(task))
+            found = _fields(result)
+            if not result.accepted:
+                job.reply({**found, "seq": task.seq, "model_version": task.model.version})
+                continue
+            check_fit(task.created, result.lengthscales, result.signal_variance)  # before it is in the log for good
+            body = {"lengthscales": result.lengthscales.tolist(), "signal_variance": result.signal_variance}
+            evidence = {"evidence_before": result.before, "evidence_after": result.after}
+            self._writer.commit(task, Change("fit", {**body, **evidence}, _answer(found)), job, configured)
+
+    def stop(self) -> None:
+        """Gives up the fit at hand and ends the process."""
+        self._stopped.set()
+        if self._process is not None:
+            self._process.terminate()
+            self._process.join(0.5)
+
+    def _problem(self, task: ServedTask) -> FitProblem:
+        """What is to be fitted; only the learning thread may ask the learner."""
+        future: Future[FitProblem] = Future()
+
+        def begin(_result: Any, failure: Exception | None) -> None:
+            try:
+                if isinstance(failure, ShuttingDown):
+                    raise failure
+                future.set_result(task.learner.begin_fit())
+            except Exception as error:
+                future.set_exception(error)
+
+        self._learning.submit(task, (), begin)
+        return future.result(_PATIENCE_S)
+
+    def _fit(self, problem: FitProblem) -> FitResult:
+        pipe = self._start()
+        try:
+            pipe.send(problem)
+            for _ in range(int(_PATIENCE_S / _POLL_S)):
+                if self._stopped.is_set():
+                    raise shutting_down()
+                if pipe.poll(_POLL_S):
+                    answer = pipe.recv()
+                    if isinstance(answer, FitResult):
+                        return answer
+                    raise Internal(f"the fit failed: {answer}")
+        except (EOFError, OSError) as error:
+            self._discard()
+            if self._stopped.is_set():
+                raise shutting_down() from error
+            raise Internal("the process that fits died; ask again for a new one") from error
+        self._discard()
+        raise Internal(f"the fit took more than {_PATIENCE_S} s and was given up")
+
+    def _start(self) -> Connection:
+        if self._pipe is None or self._process is None or not self._process.is_alive():
+            if self._code.is_replaced:
+                raise Unsupported(
+                    "crkr was upgraded or removed while this server runs, and a fit takes a new process: restart the "
+                    "server, and ask again"
+                )
+            context = multiprocessing.get_context("spawn")  # a fork would inherit Zenoh's threads half
+            self._pipe, theirs = context.Pipe()
+            self._process = context.Process(target=_serve, args=(theirs,), name="fit", daemon=True)
+            self._process.start()
+            theirs.close()  # so that each side notices the other's death
+        return self._pipe
+
+    def _discard(self) -> None:
+        if self._process is not None:
+            self._process.kill()
+            self._process.join(1.0)
+        self._process = self._pipe = None
+
+
+def _serve(pipe: Connection) -> None:
+    """The process: fits what it is sent until the server is gone."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the server, which ends this process
+    with suppress(EOFError, OSError):
+        while True:
+            problem = pipe.recv()
+            try:
+                answer: FitResult | str = fit(problem)
+            except Exception as error:
+                answer = f"{type(error).__name__}: {error}"
+            pipe.send(answer)
+
+
+def _answer(found: dict[str, Any]) -> Callable[[ServedTask, Any], dict[str, Any]]:
+    return lambda _task, _applied: found
+
+
+def _fields(result: FitResult) -> dict[str, Any]:
+    return {
+        "accepted": result.accepted,
+        "lengthscales": result.lengthscales,
+        "signal_variance": result.signal_variance,
+        "evidence_before": result.before,
+        "evidence_after": result.after,
+    }

@@ -1,0 +1,54 @@
+"""Publishes what became of a model, for whoever mirrors or watches it."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from typing import final
+from uuid import UUID
+
+import zenoh
+
+from crkr.learner import Model
+from crkr.protocol import encoding, pack, pub_key
+from crkr.server.learning.tasks import ServedTask
+from crkr.server.thread_faults import FAULTS
+
+__all__ = ["Notices"]
+
+logger = logging.getLogger(__name__)
+
+
+@final
+class Notices:
+    """Sends `model` notices; a subscriber that is slow or away misses them and catches up by query."""
+
+    def __init__(self, session: zenoh.Session) -> None:
+        self._session = session
+        self._encoding = zenoh.Encoding(encoding("model_notice"))
+
+    def move(self, session: zenoh.Session) -> None:
+        """Sends by another session from now on."""
+        self._session = session
+
+    def __call__(self, task: ServedTask, before: Model, after: Model) -> None:
+        """Says what changed between two models."""
+        added, evicted = ([], []) if after.ids is before.ids else _exchanged(before.ids, after.ids)
+        notice = {"version": after.version, "active": after.active, "added": added, "evicted": evicted}
+        try:
+            self._session.put(
+                pub_key(task.name, "model"),
+                pack(notice),
+                encoding=self._encoding,
+                congestion_control=zenoh.CongestionControl.DROP,
+            )
+        except zenoh.ZError as error:  # the session is closing
+            logger.debug("model notice was not sent: %s", error)
+        except BaseException as error:  # a panic beneath; learning goes on, and subscribers catch up by query
+            FAULTS.note(error)
+
+
+def _exchanged(before: Sequence[UUID], after: Sequence[UUID]) -> tuple[list[UUID], list[UUID]]:
+    """Who came and who went, in the order of the log."""
+    old, new = set(before), set(after)
+    return [one for one in after if one not in old], [one for one in before if one not in new]

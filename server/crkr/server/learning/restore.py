@@ -1,0 +1,157 @@
+"""From the log back to a served task."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from crkr.learner import TrialColumns
+from crkr.protocol import KINDS, CrkrError, GoalDimension, StateDimension, StorageError, TaskSpec, UnknownTask
+from crkr.server.learning.event_application import apply_entries, batches
+from crkr.server.learning.radii_cache import load_radii
+from crkr.server.learning.tasks import ServedTask
+from crkr.server.log import Event, LoggedTrial, LogReader
+
+__all__ = ["FEW", "restore", "restore_all"]
+
+logger = logging.getLogger(__name__)
+
+_BATCH: Final = 4096
+_LONGEST: Final = 1000  # characters of what is wrong with a task
+FEW: Final = 5000  # entries that are read as whole rows, each looked over; longer logs by columns, their radii kept
+
+
+def restore_all(log: LogReader, path: Path) -> list[ServedTask]:
+    """Replays every task while the store looks itself over, on a thread that needs no interpreter for it.
+
+    A task that is stored whole and cannot be replayed all the same is among them, marked so: the others are served.
+
+    Raises:
+        StorageError: The log, which is at `path`, is damaged.
+    """
+    try:
+        with ThreadPoolExecutor(1) as beside:
+            damage = beside.submit(log.integrity)
+            tasks = [_restored(log, name) for name in log.tasks()]
+        found = damage.result()
+    except UnknownTask as error:
+        raise StorageError(f"task log {path} lists a task that it does not find; restore a backup") from error
+    except StorageError as error:
+        raise StorageError(f"task log {path}: {error.message}") from error
+    if found:
+        raise StorageError(f"task log {path} is damaged: {'; '.join(found[:3])}; restore a backup")
+    return tasks
+
+
+def _restored(log: LogReader, name: str) -> ServedTask:
+    """The task, or one that only tells why it cannot be restored."""
+    try:
+        return restore(log, name)
+    except (StorageError, UnknownTask):  # the store's fault, which is everyone's
+        raise
+    except Exception as error:
+        fault = error.message if isinstance(error, CrkrError) else f"{type(error).__name__}: {error}"
+        logger.exception("task %s is not served, as it cannot be restored; its log stays as it is", name)
+        return _faulty(log, name, fault)
+
+
+def _faulty(log: LogReader, name: str, fault: str) -> ServedTask:
+    try:
+        created = next(log.read(name))
+        task = ServedTask(TaskSpec.from_dict(created.body["spec"]) if isinstance(created, Event) else _unknown(name))
+        if isinstance(created, Event):
+            task.begin(created)
+    except StorageError:
+        raise
+    except Exception:
+        task = ServedTask(_unknown(name))
+    task.fault, task.restored, task.seq = fault[:_LONGEST], False, log.last(name)
+    return task
+
+
+def _unknown(name: str) -> TaskSpec:
+    """Stands for a specification that cannot be read, so that the task can be listed."""
+    state, goal = StateDimension("unknown", "", 0.0, 1.0, 1.0), GoalDimension("unknown", "", 0.0, 1.0, 1.0)
+    return TaskSpec(name, (state,), (goal,), "This task's specification cannot be read.")
+
+
+def restore(log: LogReader, name: str) -> ServedTask:
+    """Replays a task.
+
+    Raises:
+        StorageError: The log is damaged.
+        Exception: Whatever the learner has against an event, or says of numbers that an earlier version let in.
+    """
+    started = time.monotonic()
+    first = next(log.read(name), None)
+    if not isinstance(first, Event) or first.kind != "create":
+        raise StorageError(f"the log of task {name!r} does not begin with its creation; restore a backup")
+    task = ServedTask(TaskSpec.from_dict(first.body["spec"]))
+    if task.name != name:
+        raise StorageError(f"the log of task {name!r} was begun as that of {task.name!r}; restore a backup")
+    task.begin(first)
+    last, radii = log.last(name), load_radii(log, name)
+    if last <= FEW:
+        with task.learner.bulk():
+            _replay_at_once(task, log.read(name, 1))
+    else:
+        usable = radii is not None and last - FEW <= radii.version <= last
+        upto = radii.version if radii is not None and usable else last
+        with task.learner.bulk(radii if usable else None):
+            _replay_blocks(task, log, upto)
+        _replay(task, log.read(name, upto))
+    task.publish()
+    logger.info("restored task %s at log position %d in %.2f s", name, task.seq, time.monotonic() - started)
+    return task
+
+
+def _replay_blocks(task: ServedTask, log: LogReader, upto: int) -> None:
+    measured = len(task.created.outcome) if task.created.exploration.type == "outcome" else 0
+    for entry in log.blocks(task.name, task.dimensions, len(task.created.goal), measured, upto):
+        if isinstance(entry, Event):
+            task.note(entry)
+            apply_entries(task.learner, entry)
+        else:
+            task.note_columns(entry)
+            task.learner.apply_columns(entry)
+
+
+def _replay_at_once(task: ServedTask, entries: Iterator[LoggedTrial | Event]) -> None:
+    for batch in batches(entries, _BATCH):
+        if isinstance(batch, Event):
+            task.note(batch)
+            apply_entries(task.learner, batch)
+        else:
+            columns = _columns(batch, len(task.created.outcome))
+            task.note_columns(columns)
+            task.learner.apply_columns(columns)
+
+
+def _columns(entries: list[LoggedTrial], measured: int) -> TrialColumns:
+    """The same trials; a store takes columns in a fraction of the time."""
+    trials = [entry.trial for entry in entries]
+    absent = np.full(measured, np.nan)
+    return TrialColumns(
+        seqs=np.array([entry.seq for entry in entries], dtype=np.int64),
+        ids=b"".join([trial.id.bytes for trial in trials]),
+        digests=b"".join([trial.digest() for trial in trials]),
+        states=np.array([trial.state for trial in trials]),
+        goals=np.array([trial.goal for trial in trials]),
+        costs=np.array([trial.cost for trial in trials], dtype=np.float64),  # None becomes NaN
+        kinds=np.array([KINDS.index(trial.kind) for trial in trials], dtype=np.uint8),
+        success=np.array([trial.success for trial in trials], dtype=np.bool_),
+        outcomes=np.array([absent if trial.outcome is None else trial.outcome for trial in trials]),
+    )
+
+
+def _replay(task: ServedTask, entries: Iterator[LoggedTrial | Event]) -> None:
+    for batch in batches(entries, _BATCH):
+        for entry in [batch] if isinstance(batch, Event) else batch:
+            task.note(entry)
+        apply_entries(task.learner, batch)

@@ -1,0 +1,189 @@
+"""The tasks that are served: each has one learner, changed by one thread, and one model, read by all."""
+
+from __future__ import annotations
+
+from collections import Counter
+from itertools import islice
+from typing import Any, Final, final
+from uuid import UUID
+
+import numpy as np
+
+from crkr.learner import Learner, Model, TrialColumns
+from crkr.protocol import KINDS, Internal, TaskSpec, UnknownTask, pack, task_id
+from crkr.server.log import Event, LoggedTrial
+
+__all__ = ["ServedTask", "Tasks", "hyperparameters"]
+
+_MOST_NAMED: Final = 20  # tasks that an error tells of
+
+
+@final
+class ServedTask:
+    """A task in service.
+
+    Who may change what: the writer `seq`, `agreed`, `configured`, `archived` and the counts, as it commits; the thread
+    that learns `learner`, `model`, `spec`, `eligible` and `fault`. `model` is swapped whole, so that a reader holds one
+    consistent policy and no lock.
+
+    Attributes:
+        created: The specification as created.
+        dimensions: d.
+        learner: Only for the learning thread, and for the replay before it starts.
+        model: The policy that answers now.
+        spec: The specification in force.
+        agreed: The one that the log says, ahead of `spec` while learning lags behind.
+        seq: Last log position that was committed.
+        configured: Log position of the last change of its settings.
+        archived: Answers reads only.
+        samples: Stored trials by kind, removed ones too.
+        eligible: Trials that may be learned from.
+        fault: Why learning stopped, "" while it goes on.
+        restored: Its log was replayed to the end; else `fault` says why not, and only what is stored can be looked at.
+        damage: What is wrong with a stored row that no prediction rests on, "" where nothing was found.
+        log_id: Names the log that begins with this task's creation, whichever server reads it.
+    """
+
+    __slots__ = (
+        "_packed",
+        "agreed",
+        "archived",
+        "configured",
+        "created",
+        "damage",
+        "dimensions",
+        "eligible",
+        "fault",
+        "learner",
+        "log_id",
+        "model",
+        "restored",
+        "samples",
+        "seq",
+        "spec",
+    )
+
+    def __init__(self, spec: TaskSpec) -> None:
+        self.created: Final = spec
+        self.dimensions: Final = len(spec.state)
+        self.learner = Learner(spec)
+        self.model: Model = self.learner.model
+        self.spec = self.agreed = spec
+        self.seq = self.configured = 1
+        self.archived = False
+        self.samples: Counter[str] = Counter()
+        self.eligible = 0
+        self.fault = self.damage = ""
+        self.restored = True
+        self.log_id = UUID(int=0)
+        self._packed: tuple[TaskSpec, bytes] | None = None
+
+    @property
+    def name(self) -> str:
+        """Its name in keys."""
+        return self.created.name
+
+    def begin(self, creation: Event) -> None:
+        """Notes the first entry of its log."""
+        self.log_id = task_id(self.name, f"log/{creation.time.hex()}")
+
+    def packed_spec(self) -> bytes:
+        """The specification in force as it stands in messages, encoded once."""
+        spec, known = self.spec, self._packed
+        if known is None or known[0] is not spec:
+            known = self._packed = spec, pack(spec.to_dict())
+        return known[1]
+
+    def note(self, entry: LoggedTrial | Event) -> None:
+        """Counts an entry that the log holds."""
+        self.seq = entry.seq
+        if isinstance(entry, LoggedTrial):
+            self.samples[entry.trial.kind] += 1
+        elif entry.kind == "archive":
+            self.archived = True
+        elif entry.kind == "configure":
+            self.configured = entry.seq
+            self.agreed = self.agreed.with_changes(entry.body["changes"])
+
+    def note_columns(self, columns: TrialColumns) -> None:
+        """Counts trials that the log holds."""
+        self.seq = int(columns.seqs[-1])
+        for kind, count in zip(KINDS, np.bincount(columns.kinds, minlength=len(KINDS)).tolist(), strict=True):
+            self.samples[kind] += count
+
+    def publish(self) -> None:
+        """Makes what the learner knows the policy that answers."""
+        self.spec, self.model, self.eligible = self.learner.spec, self.learner.model, self.learner.eligible
+
+
+def hyperparameters(model: Model) -> dict[str, Any]:
+    """The numbers of a model's kernel, fitted or given."""
+    kernel = model.parameters.kernel
+    return {
+        "lengthscales": kernel.lengthscales,
+        "signal_variance": kernel.signal_variance,
+        "linear_weight": kernel.linear_weight,
+    }
+
+
+@final
+class Tasks:
+    """All tasks by name. Entries are only ever added, by the writer.
+
+    A list made of the entries is made in one step of the interpreter, so that the writer cannot add one meanwhile.
+    """
+
+    def __init__(self) -> None:
+        self._by_name: dict[str, ServedTask] = {}
+
+    def add(self, task: ServedTask) -> None:
+        """Takes a task into service."""
+        self._by_name[task.name] = task
+
+    def find(self, name: str) -> ServedTask | None:
+        """The task, or None; raises `Internal` for one that could not be restored."""
+        return self.get(name) if name in self._by_name else None
+
+    def get(self, name: str) -> ServedTask:
+        """The task.
+
+        Raises:
+            UnknownTask: There is none of that name.
+            Internal: It could not be restored.
+        """
+        task = self._by_name.get(name)
+        if task is None or not task.restored:
+            task = self.look(name)
+            raise Internal(
+                f"task {name!r} cannot be restored from its log, whose trials can still be read (crkr export): "
+                f"{task.fault}",
+                details={"task": name, "fault": task.fault},
+            )
+        return task
+
+    def look(self, name: str) -> ServedTask:
+        """The task, restored or not, for what only looks at what is stored; raises `UnknownTask`."""
+        task = self._by_name.get(name)
+        if task is None:
+            known = ", ".join(list(islice(self._by_name, _MOST_NAMED))) or "none yet"
+            more = f" and {len(self) - _MOST_NAMED} more" if len(self) > _MOST_NAMED else ""
+            raise UnknownTask(
+                f"no task {name!r} here; there are: {known}{more}; crkr create makes one", details={"task": name}
+            )
+        return task
+
+    def __len__(self) -> int:
+        return len(self._by_name)
+
+    def page(self, after: int, limit: int) -> tuple[list[ServedTask], int | None]:
+        """At most `limit` tasks past the first `after`, oldest first, and where to go on (None at the end)."""
+        end = after + limit
+        return list(islice(self._by_name.values(), after, end)), end if end < len(self) else None
+
+    def faults(self) -> dict[str, str]:
+        """Names of the tasks that are out of order, and what is wrong with them."""
+        return {task.name: task.fault for task in self.all() if task.fault}
+
+    def all(self) -> list[ServedTask]:
+        """Every task, oldest first, those that could not be restored too."""
+        return list(self._by_name.values())

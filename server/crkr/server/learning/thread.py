@@ -1,0 +1,284 @@
+"""The threads that learn: they apply what was committed, in each log's order, and swap in the new models.
+
+Tasks take turns, a step each, so that one with much to learn does not hold up the others. There are two threads, since
+one step alone may be long: with thousands of active samples, or of changes to a long log. A task whose steps are so is
+the second thread's, and all others are the first one's. At any time a task is in the hands of one thread at most.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, Final, final
+
+from crkr.learner import Model
+from crkr.protocol import Internal
+from crkr.server.learning.event_application import apply_entries
+from crkr.server.learning.tasks import ServedTask
+from crkr.server.log import Event, LoggedTrial
+from crkr.server.metrics.durations import Durations
+from crkr.server.queries.queue import shutting_down
+from crkr.server.thread_faults import FAULTS, keep_running
+
+__all__ = ["Learning", "Notice"]
+
+logger = logging.getLogger(__name__)
+
+Notice = Callable[[ServedTask, Model, Model], None]
+
+_MOST_TRIALS: Final = 64  # a group: one new model for all of them, and the next event is not far
+_LONG_S: Final = 0.05  # a step, from which on a task's next ones are the second thread's
+_LONG_LOG: Final = 5000  # entries, from which on an event may take as long
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class _Step:
+    """Entries of one task, then what to do once its model includes them."""
+
+    task: ServedTask
+    entries: Sequence[LoggedTrial] | Event
+    done: Callable[[Any, Exception | None], None] | None
+
+
+@final
+class _Line:
+    """The steps of one task that wait, in the log's order."""
+
+    __slots__ = ("asked", "held", "long", "steps", "task", "trials")
+
+    def __init__(self, task: ServedTask) -> None:
+        self.task = task
+        self.steps: deque[_Step] = deque()
+        self.trials = self.asked = 0  # in the waiting steps
+        self.held = False  # by a thread that is at work on an earlier step
+        self.long = False  # was the last step
+
+    @property
+    def slow(self) -> bool:
+        """Whether the next step is expected to be long."""
+        return self.long or (isinstance(self.steps[0].entries, Event) and self.task.seq > _LONG_LOG)
+
+
+@final
+class _Turns:
+    """The tasks that wait for one of the threads, whose turn it is first."""
+
+    __slots__ = ("changed", "lines")
+
+    def __init__(self, lock: threading.Lock) -> None:
+        self.lines: deque[_Line] = deque()
+        self.changed = threading.Condition(lock)
+
+
+@final
+class Learning:
+    """Owns every learner once the server runs.
+
+    Args:
+        notice: Told of each new model: task, the one before, the new one. Two threads may, of different tasks.
+        due: Told of each task whose settings ask for a fit now.
+
+    Attributes:
+        steps: How long it took to learn what was learned together, the new model included.
+    """
+
+    def __init__(self, notice: Notice, due: Callable[[ServedTask], None]) -> None:
+        self.steps: Final = Durations()
+        self._notice, self._due = notice, due
+        self._lines: dict[str, _Line] = {}  # of the tasks that have waiting steps, are held, or were long
+        self._lock = threading.Lock()
+        self._turns = (_Turns(self._lock), _Turns(self._lock))  # of the first thread, and of the second
+        self._closing = self._closed = False
+        self._deadline = 0.0  # on the monotonic clock, of what is done while closing
+        self._backlog = self._asked = 0
+        self._threads = [
+            threading.Thread(target=keep_running, args=(partial(self._step, turns),), name=name, daemon=True)
+            for name, turns in zip(("learning", "long learning"), self._turns, strict=True)
+        ]
+
+    def start(self) -> None:
+        """Begins to learn."""
+        for thread in self._threads:
+            thread.start()
+
+    @property
+    def backlog(self) -> int:
+        """Trials that are committed and wait to be learned from."""
+        return self._backlog
+
+    @property
+    def asked(self) -> int:
+        """Steps that somebody waits to be answered for."""
+        return self._asked
+
+    def waiting(self, task: ServedTask) -> tuple[int, int]:
+        """Of one task, the trials that wait to be learned from, and the steps that somebody waits for."""
+        line = self._lines.get(task.name)
+        return (0, 0) if line is None else (line.trials, line.asked)
+
+    def submit(
+        self,
+        task: ServedTask,
+        entries: Sequence[LoggedTrial] | Event = (),
+        done: Callable[[Any, Exception | None], None] | None = None,
+    ) -> None:
+        """Queues entries in the log's order.
+
+        Args:
+            task: Whose they are.
+            entries: Trials, none of them too, or one event.
+            done: Called when the model includes them, with what the learner returned and what went wrong: `Internal`
+                where learning is at fault; `ShuttingDown` where the server ends first, from the thread that ends it.
+        """
+        with self._lock:
+            if not self._closed:
+                line = self._lines.get(task.name)
+                if line is None:
+                    line = self._lines[task.name] = _Line(task)
+                line.steps.append(_Step(task, entries, done))
+                line.trials += _size(entries)
+                line.asked += done is not None
+                self._backlog += _size(entries)
+                self._asked += done is not None
+                if len(line.steps) == 1 and not line.held:
+                    self._line_up(line)
+                return
+        if done is not None:
+            done(None, shutting_down())
+
+    def close(self, patience_s: float) -> bool:
+        """Stops once nobody waits for an answer, for half of `patience_s` at most; then who still waits is told.
+
+        What is left is in the log and will be replayed. False: a step at hand goes on too long.
+        """
+        until = time.monotonic() + patience_s
+        with self._lock:
+            self._closing, self._deadline = True, time.monotonic() + patience_s / 2
+            self._wake()
+        for thread in self._threads:
+            if thread.is_alive():
+                thread.join(max(0.0, until - time.monotonic()))
+        with self._lock:
+            left = [step for line in self._lines.values() for step in line.steps]
+            self._lines.clear()
+            self._asked = 0
+            self._closed = True
+        for step in left:
+            if step.done is not None:
+                step.done(None, shutting_down())
+        return not any(thread.is_alive() for thread in self._threads)
+
+    def _step(self, turns: _Turns) -> bool:
+        """One turn of a task; False at the end."""
+        taken = self._take(turns)
+        if taken is None:
+            return False
+        line, group = taken
+        started = time.monotonic()
+        try:
+            self._apply(group)
+        finally:
+            self._give_back(line, time.monotonic() - started > _LONG_S)
+        return True
+
+    def _take(self, turns: _Turns) -> tuple[_Line, list[_Step]] | None:
+        """The next step of the task whose turn it is, with the trials that follow it at once; None: it is the end."""
+        with self._lock:
+            while not turns.lines and not self._over():
+                turns.changed.wait(max(self._deadline - time.monotonic(), 0.0) if self._closing else None)
+            if self._over():
+                return None
+            line = turns.lines.popleft()
+            line.held = True
+            steps = line.steps
+            group = [steps.popleft()]
+            count = _size(group[0].entries)
+            while steps and _joins(group[-1], steps[0]) and count < _MOST_TRIALS:
+                group.append(steps.popleft())
+                count += _size(group[-1].entries)
+            asked = sum(step.done is not None for step in group)
+            line.trials -= count
+            line.asked -= asked
+            self._backlog -= count
+            self._asked -= asked
+            return line, group
+
+    def _over(self) -> bool:
+        """Whether to stop: in an orderly end, nobody waits for what is left, or it has taken too long."""
+        if not self._closing:
+            return False
+        waited_for = any(step.done is not None for line in self._lines.values() for step in line.steps)
+        return time.monotonic() >= self._deadline or not waited_for
+
+    def _give_back(self, line: _Line, long: bool) -> None:
+        """Ends a turn: the task goes behind all others."""
+        with self._lock:
+            line.held, line.long = False, long
+            if line.steps:
+                self._line_up(line)
+            elif not long:
+                self._lines.pop(line.task.name, None)
+            if self._closing:
+                self._wake()
+
+    def _line_up(self, line: _Line) -> None:
+        turns = self._turns[line.slow]
+        turns.lines.append(line)
+        turns.changed.notify()
+
+    def _wake(self) -> None:
+        for turns in self._turns:
+            turns.changed.notify_all()
+
+    def _apply(self, group: list[_Step]) -> None:
+        task, before = group[0].task, group[0].task.model
+        result, failure = None, None
+        try:
+            result = _learn(task, group, self.steps)
+        except BaseException as error:  # a panic or exhausted memory too: this task stops, the others go on
+            if not isinstance(error, Exception):
+                FAULTS.note(error)
+            if not task.fault:
+                logger.exception("task %r stops learning after log position %s", task.name, before.version)
+            task.fault = task.fault or f"{type(error).__name__}: {error}"
+            failure = Internal(f"task {task.name!r} stores trials but learns no more until a restart: {task.fault}")
+        for step in group:
+            if step.done is not None:
+                try:
+                    step.done(result, failure)
+                except BaseException as error:  # the others are answered
+                    FAULTS.note(error)
+        if task.model is not before:
+            self._notice(task, before, task.model)
+            if task.learner.refit_due:
+                self._due(task)
+
+
+def _learn(task: ServedTask, group: list[_Step], steps: Durations) -> Any:
+    """Applies one step, or the trials of several; a learner that failed once is left alone, lest it skip an entry."""
+    entries = group[0].entries
+    if not isinstance(entries, Event):
+        entries = [entry for step in group if not isinstance(step.entries, Event) for entry in step.entries]
+        if not entries:
+            return None
+    if task.fault:
+        raise Internal(task.fault)
+    with steps.timing():
+        result = apply_entries(task.learner, entries)
+        task.publish()
+    return result
+
+
+def _size(entries: Sequence[LoggedTrial] | Event) -> int:
+    return 0 if isinstance(entries, Event) else len(entries)
+
+
+def _joins(step: _Step, following: _Step) -> bool:
+    events = isinstance(step.entries, Event) or isinstance(following.entries, Event)
+    return step.task is following.task and not events

@@ -1,0 +1,97 @@
+"""How many log positions were acknowledged: the one thing that a database which lost its end cannot tell.
+
+SQLite drops whatever stands in its write-ahead log behind a damaged byte, as it must after a crash, and a log that is
+cut off at a commit is whole in itself. So the number is kept in a file of its own, written after each commit and before
+the answer. It need not reach the disk: the log does so first, hence the number may lag behind it and never runs ahead.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import re
+from pathlib import Path
+from typing import Final, final
+from zlib import crc32
+
+from crkr.protocol import StorageError
+from crkr.server.log.data_files import open_data_file
+
+__all__ = ["TALLY_NAME", "Tally", "lost_end", "read_tally"]
+
+logger = logging.getLogger(__name__)
+
+TALLY_NAME: Final = "acknowledged"
+_LINE: Final = re.compile(rb"(\d{20}) ([0-9a-f]{8})\n")
+_LINE_BYTES: Final = 30
+
+
+@final
+class Tally:
+    """The file beside the log, for its one writer.
+
+    Raises:
+        StorageError: It cannot be written.
+    """
+
+    def __init__(self, directory: Path, positions: int) -> None:
+        path = directory / TALLY_NAME
+        try:
+            self._file = open_data_file(path, os.O_RDWR | os.O_CREAT)
+            if os.fstat(self._file).st_nlink > 1:  # it is another program's file too
+                os.close(self._file)
+                path.unlink()
+                self._file = open_data_file(path, os.O_RDWR | os.O_CREAT | os.O_EXCL)
+            os.pwrite(self._file, _line(positions), 0)
+            os.ftruncate(self._file, _LINE_BYTES)
+        except OSError as error:
+            raise StorageError(f"{path} cannot be written: {error.strerror}") from error
+
+    def note(self, positions: int) -> None:
+        """Keeps the number of log positions, all tasks together; where it cannot be written, it lags behind."""
+        try:
+            os.pwrite(self._file, _line(positions), 0)
+        except OSError as error:
+            logger.warning("the number of acknowledged log positions was not kept: %s", error.strerror)
+
+    def close(self) -> None:
+        """Lets go of the file; a later number is not kept, least of all in the next file of the same descriptor."""
+        file, self._file = self._file, -1
+        os.close(file)
+
+
+def read_tally(directory: Path) -> int:
+    """How many log positions were acknowledged for certain; 0 where nobody kept it.
+
+    Raises:
+        StorageError: It cannot be read, or is no plain file.
+    """
+    path = directory / TALLY_NAME
+    try:
+        file = open_data_file(path, os.O_RDONLY)
+        try:
+            data = os.read(file, _LINE_BYTES + 1)
+        finally:
+            os.close(file)
+    except FileNotFoundError:
+        return 0
+    except OSError as error:
+        raise StorageError(f"{path} cannot be read: {error.strerror}") from error
+    found = _LINE.fullmatch(data)
+    if found is None or crc32(found[1]) != int(found[2], 16):
+        logger.warning("%s is damaged: it cannot be told whether the log lost its end", path)
+        return 0
+    return int(found[1])
+
+
+def lost_end(path: Path, held: int, acknowledged: int) -> str:
+    """What is said of a log that holds less than was acknowledged."""
+    return (
+        f"the task log {path} holds {held} entries, but {acknowledged} were acknowledged: its end is lost, or it is an "
+        "older copy"
+    )
+
+
+def _line(positions: int) -> bytes:
+    number = b"%020d" % positions
+    return b"%s %08x\n" % (number, crc32(number))

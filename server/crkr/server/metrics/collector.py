@@ -1,0 +1,145 @@
+"""A server's vitals as Prometheus metrics.
+
+Nothing is counted for them: they are read from what the server keeps anyway, at the moment they are asked for.
+"""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import suppress
+from importlib.metadata import version
+from typing import Final, final
+
+from prometheus_client.core import (
+    CounterMetricFamily,
+    GaugeMetricFamily,
+    HistogramMetricFamily,
+    InfoMetricFamily,
+    Metric,
+)
+from prometheus_client.registry import Collector
+
+from crkr.protocol import KINDS, PROTOCOL_VERSION
+from crkr.server.learning.tasks import ServedTask
+from crkr.server.metrics.durations import BOUNDS_S, Durations
+from crkr.server.metrics.vitals import Vitals
+from crkr.server.thread_faults import FAULTS
+from crkr.server.workers import STATES
+
+__all__ = ["VitalsCollector"]
+
+_BOUNDS: Final = (*(f"{bound:g}" for bound in BOUNDS_S), "+Inf")
+# One number for each task: metric, what it means, from a task.
+_OF_A_TASK: Final = {
+    "crkr_task_eligible_samples": "Trials that may be learned from.",
+    "crkr_task_active_samples": "Trials in the model.",
+    "crkr_task_model_version": "Log position that the model has applied.",
+    "crkr_task_model_lag": "Log positions that the model has yet to apply.",
+    "crkr_task_archived": "1 if the task answers reads only.",
+    "crkr_task_faulty": "1 if the task could not be restored, or learns no more until a restart; see the server's log.",
+    "crkr_task_damaged": "1 if a stored row is not what was stored; see the server's log.",
+}
+
+
+@final
+class VitalsCollector(Collector):
+    """Reads the vitals of one server at each scrape."""
+
+    def __init__(self, vitals: Vitals) -> None:
+        self._vitals = vitals
+        self._about = {"version": version("crkr"), "protocol": str(PROTOCOL_VERSION)}
+
+    def collect(self) -> Iterator[Metric]:
+        """All metrics but the process's own."""
+        yield InfoMetricFamily("crkr_build", "What runs.", self._about)
+        yield from self._threads()
+        yield from self._requests()
+        yield from self._queues()
+        yield _histogram("crkr_commit_duration_seconds", "Durable commits to the task log.", self._vitals.commits)
+        steps = self._vitals.learning.steps
+        yield _histogram("crkr_learning_step_duration_seconds", "Steps of learning, each with a new model.", steps)
+        yield from self._tasks()
+        yield from self._workers()
+        yield from self._disk()
+
+    def _threads(self) -> Iterator[Metric]:
+        faults = CounterMetricFamily(
+            "crkr_thread_faults", "What threads of the server raised and survived; see its log.", labels=["thread"]
+        )
+        # Those that matter most are there from the start, so that a rate sees their first fault.
+        for thread, count in {"write": 0, "learning": 0, **FAULTS.counts()}.items():
+            faults.add_metric([thread], count)
+        yield faults
+        ended = len(FAULTS.ended())
+        yield GaugeMetricFamily("crkr_threads_ended", "Threads that are no more: restart the server.", ended)
+
+    def _requests(self) -> Iterator[Metric]:
+        latencies = self._vitals.latencies
+        total = CounterMetricFamily("crkr_requests", "Requests by outcome.", labels=["verb", "code"])
+        took = HistogramMetricFamily(
+            "crkr_request_duration_seconds", "From taking a request in to its answer, errors aside.", labels=["verb"]
+        )
+        for verb, times in latencies.answers().items():
+            found = times.histogram()
+            total.add_metric([verb, "OK"], found.counts[-1])
+            took.add_metric([verb], list(zip(_BOUNDS, found.counts, strict=True)), found.total_s)
+        for (verb, code), count in latencies.refusals().items():
+            total.add_metric([verb, code], count)
+        yield from (total, took)
+
+    def _queues(self) -> Iterator[Metric]:
+        waiting = GaugeMetricFamily("crkr_queue_waiting", "Requests that wait.", labels=["verb"])
+        limit = GaugeMetricFamily("crkr_queue_limit", "Requests that may wait; more are BUSY.", labels=["verb"])
+        for verb, depth in self._vitals.queues().items():
+            waiting.add_metric([verb], depth["waiting"])
+            limit.add_metric([verb], depth["limit"])
+        yield from (waiting, limit)
+        backlog = self._vitals.learning.backlog
+        yield GaugeMetricFamily("crkr_learning_backlog_trials", "Stored trials that wait to be learned from.", backlog)
+
+    def _tasks(self) -> Iterator[Metric]:
+        samples = GaugeMetricFamily("crkr_task_samples", "Stored trials.", labels=["task", "kind"])
+        single = {name: GaugeMetricFamily(name, text, labels=["task"]) for name, text in _OF_A_TASK.items()}
+        for task in self._vitals.tasks.all():
+            for kind in KINDS:
+                samples.add_metric([task.name, kind], task.samples[kind])
+            for metric, value in zip(single.values(), _numbers(task), strict=True):
+                metric.add_metric([task.name], value)
+        yield from (samples, *single.values())
+
+    def _workers(self) -> Iterator[Metric]:
+        workers = GaugeMetricFamily("crkr_task_workers", "Workers by state.", labels=["task", "state"])
+        trials = GaugeMetricFamily("crkr_task_open_trials", "Goals given out and not reported yet.", labels=["task"])
+        totals = self._vitals.workers.totals()
+        for task in self._vitals.tasks.all():
+            states, opened = totals.get(task.name, (Counter[str](), 0))
+            for state in STATES:
+                workers.add_metric([task.name, state], states[state])
+            trials.add_metric([task.name], opened)
+        yield from (workers, trials)
+
+    def _disk(self) -> Iterator[Metric]:
+        stored = 0
+        for path in self._vitals.data.glob("*.sqlite3*"):
+            with suppress(FileNotFoundError):  # a backup that is being made, or SQLite's own at the end
+                stored += path.stat().st_size
+        yield GaugeMetricFamily("crkr_log_bytes", "Size of the task log's files.", stored)
+        free = 0
+        with suppress(OSError):  # moved away: there is no room then
+            disk = os.statvfs(self._vitals.data)
+            free = disk.f_bavail * disk.f_frsize
+        yield GaugeMetricFamily("crkr_disk_free_bytes", "Room for the task log.", free)
+
+
+def _numbers(task: ServedTask) -> tuple[float, ...]:
+    """In the order of the table above."""
+    model = task.model  # before the log position, which is only ever ahead
+    lag = task.seq - model.version
+    return task.eligible, model.active, model.version, lag, task.archived, bool(task.fault), bool(task.damage)
+
+
+def _histogram(name: str, text: str, times: Durations) -> Metric:
+    found = times.histogram()
+    return HistogramMetricFamily(name, text, list(zip(_BOUNDS, found.counts, strict=True)), found.total_s)

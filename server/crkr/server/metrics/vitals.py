@@ -1,0 +1,40 @@
+"""What tells how a server does, gathered where it can be looked at."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, final
+
+from crkr.server.learning.tasks import Tasks
+from crkr.server.learning.thread import Learning
+from crkr.server.metrics.durations import Durations
+from crkr.server.metrics.latency import Latencies
+from crkr.server.workers import Workers
+
+__all__ = ["Vitals"]
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Vitals:
+    """To be read, never changed; any thread may.
+
+    Attributes:
+        data: Data directory.
+        tasks: What is served.
+        latencies: How requests were answered.
+        workers: Who works.
+        learning: The backlog and the steps of learning.
+        commits: How long the log took to store.
+        queues: Verb -> {waiting, limit}.
+    """
+
+    data: Path
+    tasks: Tasks
+    latencies: Latencies
+    workers: Workers
+    learning: Learning
+    commits: Durations
+    queues: Callable[[], Mapping[str, Any]]

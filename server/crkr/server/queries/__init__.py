@@ -1,0 +1,5 @@
+"""Zenoh queries: taken in, queued, answered exactly once or refused."""
+
+from __future__ import annotations
+
+__all__: list[str] = []

@@ -1,0 +1,126 @@
+"""What waits to be answered: tasks take turns, and clients, so that one that asks much does not hold up the others."""
+
+from __future__ import annotations
+
+from collections import OrderedDict, deque
+from collections.abc import Sequence
+from typing import Final, Generic, TypeVar, final
+
+from crkr.server.queries.request import Job, Request
+
+__all__ = ["FairQueue", "Turns"]
+
+_MOST_OF_A_TASK: Final = 1024
+_MOST: Final = 8192
+_Job = TypeVar("_Job", bound=Job)
+
+
+@final
+class Turns:
+    """Waiting requests, each task's in the order they came. For one thread."""
+
+    def __init__(self) -> None:
+        self._by_task: OrderedDict[str, deque[Request]] = OrderedDict()  # none is empty; whose turn is next comes first
+        self._count = 0
+
+    def __len__(self) -> int:
+        return self._count
+
+    def add(self, request: Request) -> bool:
+        """Takes a request in; False: too many wait already."""
+        queue = self._by_task.get(request.task)
+        if self._count >= _MOST or (queue is not None and len(queue) >= _MOST_OF_A_TASK):
+            return False
+        if queue is None:
+            queue = self._by_task[request.task] = deque()
+        queue.append(request)
+        self._count += 1
+        return True
+
+    def take(self, most: int) -> list[Request]:
+        """At most so many, one of each task in turn."""
+        batch: list[Request] = []
+        while self._by_task and len(batch) < most:
+            task, queue = next(iter(self._by_task.items()))
+            batch.append(queue.popleft())
+            if queue:
+                self._by_task.move_to_end(task)
+            else:
+                del self._by_task[task]
+        self._count -= len(batch)
+        return batch
+
+    def put_back(self, requests: Sequence[Request]) -> None:
+        """The last of those taken, in the same order: they are next."""
+        for request in reversed(requests):
+            self._by_task.setdefault(request.task, deque()).appendleft(request)
+            self._by_task.move_to_end(request.task, last=False)
+        self._count += len(requests)
+
+
+@final
+class _Line(Generic[_Job]):
+    """The jobs of one client in one task."""
+
+    __slots__ = ("jobs", "oldest")
+
+    def __init__(self) -> None:
+        self.jobs: list[_Job] = []
+        self.oldest = False  # was taken last time, rather than the one with the least left
+
+
+@final
+class FairQueue(Generic[_Job]):
+    """What waits in a lane: the tasks take turns, and within a task its clients. Not for several threads.
+
+    Of one client's jobs of one task the oldest is taken, and in every other turn the one with the least left to do, so
+    that a small question does not wait for a giant one that is worked off in slices.
+    """
+
+    def __init__(self) -> None:
+        # Task -> client -> its jobs; whose turn is next comes first.
+        self._by_task: OrderedDict[str, OrderedDict[bytes, _Line[_Job]]] = OrderedDict()
+        self._count = 0
+        self._place = 0  # of the job that was taken last, among those of its client
+
+    def __len__(self) -> int:
+        return self._count
+
+    def append(self, job: _Job) -> None:
+        """Adds a job behind those of its task and client."""
+        self._jobs(job).append(job)
+        self._count += 1
+
+    def popleft(self) -> _Job:
+        """The next."""
+        task, clients = next(iter(self._by_task.items()))
+        client, line = next(iter(clients.items()))
+        jobs, line.oldest = line.jobs, not line.oldest
+        self._place = 0 if line.oldest else min(range(len(jobs)), key=lambda place: jobs[place].left)
+        job = jobs.pop(self._place)
+        self._count -= 1
+        clients.move_to_end(client)
+        self._by_task.move_to_end(task)
+        if not jobs:
+            del clients[client]
+        if not clients:
+            del self._by_task[task]
+        return job
+
+    def put_back(self, job: _Job) -> None:
+        """The job that was taken last, to its old place among its client's; others have their turns before."""
+        self._jobs(job).insert(self._place, job)
+        self._count += 1
+
+    def clear(self) -> list[_Job]:
+        """Takes all."""
+        left = [job for clients in self._by_task.values() for line in clients.values() for job in line.jobs]
+        self._by_task.clear()
+        self._count = 0
+        return left
+
+    def _jobs(self, job: _Job) -> list[_Job]:
+        clients = self._by_task.setdefault(job.task, OrderedDict())
+        if job.client not in clients:
+            clients[job.client] = _Line()
+        return clients[job.client].jobs

@@ -1,0 +1,195 @@
+"""Takes queries off Zenoh as they come: answers predictions itself, queues all else, refuses what is too much.
+
+Zenoh's receiving threads only ever put a query into a channel. One thread at a time drains it here, so no client can
+make the server deaf to the others. A client that sends more than can be refused finds the channel full, and its
+connection waits; everyone waits behind what is in the channel, which is why it is not deep. Predictions that take
+little work are answered on this very thread, tasks in turn, as handing them over would cost as much; where one of those
+asked does not read, another thread takes over. All else waits in a lane.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import Any, Final, final
+
+import zenoh
+
+from crkr.protocol import CrkrError, Internal, UnknownTask, Unsupported
+from crkr.server.metrics.latency import OTHER_VERB, Latencies
+from crkr.server.queries.fair_queue import Turns
+from crkr.server.queries.queue import Lane, busy, shutting_down
+from crkr.server.queries.refusals import Refuser
+from crkr.server.queries.request import Request, held_bytes, let_go, refuse
+from crkr.server.queries.standby_thread import Relay
+from crkr.server.thread_faults import FAULTS, keep_running
+
+__all__ = ["Intake"]
+
+logger = logging.getLogger(__name__)
+
+_CHANNEL: Final = 1024  # queries, between Zenoh and the intake thread: drained in a tenth of a second
+_ROUND: Final = 64  # queries taken off before predictions are answered again
+_BATCH: Final = 64  # predictions answered together
+_SMALL: Final = 4096  # bytes; a larger predict is not even looked at here
+
+
+@final
+class Intake:
+    """One queryable and the threads that drain it, one at a time.
+
+    Args:
+        lanes: verb -> where its requests go.
+        refuser: Tells those who are not let in: a client that does not read their errors must not hold up this thread.
+        predict: Answers predict requests on the intake thread and returns those it left: patient ones for their lane,
+            the others for another round. None: there are none under this key.
+        check_task: Raises `UnknownTask` for a task that is not served, so that its requests take nobody's turn. None:
+            not checked here.
+    """
+
+    def __init__(
+        self,
+        session: zenoh.Session,
+        key: str,
+        lanes: Mapping[str, Lane[Any]],
+        latencies: Latencies,
+        refuser: Refuser,
+        predict: Callable[[list[Request]], Sequence[Request]] | None = None,
+        check_task: Callable[[str], object] | None = None,
+    ) -> None:
+        self._lanes, self._latencies, self._refuser, self._predict = lanes, latencies, refuser, predict
+        self._check_task = check_task
+        self._waiting = Turns()
+        self._surplus: list[Callable[[], None]] = []  # lets go of queries that not even a refusal has room for
+        self._stopping = False
+        self._key = key
+        self._queries = self._declare(session)
+        self._relay = Relay(self._run, f"intake {key}")
+
+    def start(self) -> None:
+        """Begins to take queries."""
+        self._relay.start()
+
+    def move(self, session: zenoh.Session) -> None:
+        """Takes queries from another session; the one before is closed."""
+        self._queries = self._declare(session)
+        self._relay.start()
+
+    def _declare(self, session: zenoh.Session) -> zenoh.Queryable[zenoh.handlers.Handler[zenoh.Query]]:
+        return session.declare_queryable(self._key, zenoh.handlers.FifoChannel(_CHANNEL), complete=True)
+
+    def stop(self) -> None:
+        """From now on every query is answered with SHUTTING_DOWN; the thread ends with the session."""
+        self._stopping = True
+
+    def join(self, patience_s: float) -> None:
+        """Waits for the thread's end, after the session was closed."""
+        self._relay.join(patience_s)
+
+    def _run(self, turn: int) -> None:
+        keep_running(partial(self._round, turn, self._queries))
+
+    def _round(self, turn: int, queries: zenoh.Queryable[zenoh.handlers.Handler[zenoh.Query]]) -> bool:
+        """Takes what waits and answers predictions; False where another thread took over, or all is over."""
+        try:
+            if not self._waiting:
+                query = queries.recv()
+                if not self._relay.on_duty(turn):
+                    return False
+                self._route(query)
+            self._drain(queries)
+        except zenoh.ZError:  # the session is closed
+            for request in self._waiting.take(len(self._waiting)):
+                request.fail(shutting_down())
+            return False
+        return self._answer(turn)
+
+    def _drain(self, queries: zenoh.Queryable[zenoh.handlers.Handler[zenoh.Query]]) -> None:
+        """Takes what has come, but not so much that predictions wait for it."""
+        for _ in range(_ROUND):
+            query = queries.try_recv()
+            if query is None:
+                return
+            self._route(query)
+
+    def _answer(self, turn: int) -> bool:
+        """Answers predictions; False where that took so long that another thread took over."""
+        if not (self._surplus or (self._waiting and self._predict is not None)):
+            return True
+        surplus, self._surplus = self._surplus, []
+        batch = [] if self._predict is None else self._waiting.take(_BATCH)
+        left: Sequence[Request] = ()
+        try:
+            self._relay.begin(turn)
+            if batch and self._predict is not None:
+                left = self._predict(batch)
+            for end in surplus:
+                end()
+        except BaseException as error:
+            for request in batch:
+                request.fail_unexpectedly(error)
+        on_duty = self._relay.end(turn)
+        try:
+            if on_duty:
+                self._waiting.put_back([request for request in left if not request.patient])
+            for request in left:
+                if request.patient or not on_duty:
+                    self._hand_over(request)
+        except BaseException as error:
+            FAULTS.note(error)
+        return on_duty
+
+    def _route(self, query: zenoh.Query) -> None:
+        """Whatever the query is, it is answered or queued, and this thread lives on."""
+        try:
+            request = Request(query, self._latencies)
+            if self._stopping:
+                self._refuse(request, shutting_down())
+            elif request.verb == "predict" and self._predict is not None and request.size <= _SMALL:
+                self._wait(request)
+            else:
+                self._hand_over(request)
+        except CrkrError as error:
+            self._turn_away(query, error)
+        except Exception:
+            logger.exception("a query on %.80s could not be taken", query.key_expr)
+            self._turn_away(query, Internal("the query could not be taken by a defect of the server; see its log"))
+
+    def _turn_away(self, query: zenoh.Query, error: CrkrError) -> None:
+        """Refuses what is no request of the protocol."""
+        self._latencies.refused(OTHER_VERB, error.code)
+        if not self._refuser.add(partial(refuse, query), error, held_bytes(query)):
+            self._surplus.append(partial(let_go, query))
+
+    def _refuse(self, request: Request, error: CrkrError) -> None:
+        if not self._refuser.add(request.fail, error, request.held_bytes()):
+            self._surplus.append(request.let_go)
+
+    def _wait(self, request: Request) -> None:
+        if self._is_served(request) and not self._waiting.add(request):
+            self._refuse(request, busy(request.verb))
+
+    def _hand_over(self, request: Request) -> None:
+        request.patient = True
+        lane = self._lanes.get(request.verb)
+        if lane is None:
+            self._refuse(request, self._unknown(request.verb))
+        elif self._is_served(request):
+            request.read_metadata()
+            refusal = lane.offer(request)
+            if refusal is not None:
+                self._refuse(request, refusal)
+
+    def _is_served(self, request: Request) -> bool:
+        """Whether its task is; otherwise it is refused."""
+        try:
+            if self._check_task is not None:
+                self._check_task(request.task)
+        except UnknownTask as error:
+            self._refuse(request, error)
+            return False
+        return True
+
+    def _unknown(self, verb: str) -> Unsupported:
+        return Unsupported(f"verb {verb!r:.80} is not offered here; these are: {', '.join(sorted(self._lanes))}")

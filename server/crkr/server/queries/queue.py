@@ -1,0 +1,220 @@
+"""A bounded queue a verb and one thread that works it off: one lane's load never waits in another's queue.
+
+What one client may have in a lane is bounded too, where the client says who it is. What its asker gave up before its
+turn is not worked off, and a repeat of a question joins the one that is there.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Final, Generic, TypeVar, final
+
+from crkr.protocol import Busy, CrkrError, ShuttingDown
+from crkr.server.queries.fair_queue import FairQueue
+from crkr.server.queries.request import Job, Request
+from crkr.server.thread_faults import keep_running
+
+__all__ = ["Lane", "busy", "shutting_down"]
+
+_RETRY_MS: Final = 50
+_MOST_BYTES: Final = 64 * 2**20  # that may wait in a lane
+_BATCH_BYTES: Final = 2 * 2**20  # after which a batch is not made longer
+_SHARE: Final = 4  # one client has at most this part of a lane, in requests and in bytes
+_Job = TypeVar("_Job", bound=Job)
+
+
+def shutting_down() -> ShuttingDown:
+    """What is answered between the order to stop and the end."""
+    return ShuttingDown("the server is shutting down; ask its successor", retry_ms=200)
+
+
+@final
+class Lane(Generic[_Job]):
+    """Works off requests in the order they came, several at once where the work can use that.
+
+    Args:
+        name: Of the thread.
+        limits: verb -> how many may wait; one more is refused with `Busy`.
+        work: Answers a batch; what it leaves unanswered by raising is answered by the lane. It may return requests that
+            it began and did not finish: they wait for their next turn.
+        most: Largest batch. Batches are what is waiting; nothing waits for a batch to fill.
+        rests: While more waits, the lane rests after each batch for as long as that took: who asks without end leaves
+            half of a core, and Python's lock for half of the time, to those who ask for little.
+        fair: Tasks, and the clients of each, take turns; otherwise the order is kept, as it must be for what writes.
+        patience_s: How long a request of an unknown deadline is waited for before it is refused with `Busy`, None where
+            deadlines are not looked at. One whose asker told its deadline is dropped when that has passed.
+        joins: A repeat of a question that is here already is answered with it.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        limits: Mapping[str, int],
+        work: Callable[[list[_Job]], Sequence[_Job] | None],
+        most: int = 1,
+        *,
+        rests: bool = False,
+        fair: bool = False,
+        patience_s: float | None = None,
+        joins: bool = False,
+    ) -> None:
+        self._limits, self._work, self._most, self._rests = dict(limits), work, most, rests
+        self._patience_s, self._joins = patience_s, joins
+        self._queue: deque[_Job] | FairQueue[_Job] = FairQueue() if fair else deque()
+        self._waiting: Counter[str] = Counter()
+        self._bytes = 0
+        # Of each client that has something here: how many requests of a verb, and their bytes.
+        self._of_clients: Counter[tuple[bytes, str]] = Counter()
+        self._asked: dict[tuple[Any, ...], Request] = {}  # what may be joined, by its fingerprint
+        self._lock = threading.Lock()
+        # A lock that is let go of wakes the thread in one step, half the time that a condition takes to.
+        self._bell = threading.Lock()
+        self._bell.acquire()
+        self._asleep = self._closing = False
+        self._ending = threading.Event()
+        self._thread = threading.Thread(target=keep_running, args=(self._step,), name=name, daemon=True)
+
+    def start(self) -> None:
+        """Begins to work."""
+        self._thread.start()
+
+    def offer(self, request: _Job) -> CrkrError | None:
+        """Queues a request, or says why not; then the caller answers it."""
+        question = request if self._joins and isinstance(request, Request) else None
+        if question is not None:
+            question.identify()
+        with self._lock:
+            if question is not None and question.fingerprint is not None:
+                known = self._asked.get(question.fingerprint)
+                if known is not None:
+                    known.join(question)
+                    return None
+            full = self._is_full(request)
+            if full or self._closing:
+                return busy(request.verb) if full else shutting_down()
+            if question is not None and question.fingerprint is not None:
+                self._asked[question.fingerprint] = question
+            self._count(request, 1)
+            self._queue.append(request)
+            ring, self._asleep = self._asleep, False
+        if ring:
+            self._bell.release()
+        return None
+
+    def _is_full(self, request: _Job) -> bool:
+        limit, verb, client = self._limits[request.verb], request.verb, request.client
+        if self._waiting[verb] >= limit or (self._queue and self._bytes + request.size > _MOST_BYTES):
+            return True
+        if not client or not self._of_clients[client, verb]:
+            return False
+        size = self._of_clients[client, ""] + request.size
+        return self._of_clients[client, verb] >= max(1, limit // _SHARE) or size > _MOST_BYTES // _SHARE
+
+    def _count(self, request: _Job, sign: int) -> None:
+        self._waiting[request.verb] += sign
+        self._bytes += sign * request.size
+        if request.client:
+            for name, amount in ((request.verb, 1), ("", request.size)):
+                self._of_clients[request.client, name] += sign * amount
+                if not self._of_clients[request.client, name]:
+                    del self._of_clients[request.client, name]
+
+    def depths(self) -> dict[str, Any]:
+        """Verb -> how many wait and how many may."""
+        return {verb: {"waiting": self._waiting[verb], "limit": limit} for verb, limit in self._limits.items()}
+
+    def close(self, patience_s: float) -> None:
+        """Takes nothing more, works off the rest for `patience_s`, then refuses what is left."""
+        self._ending.set()
+        with self._lock:
+            self._closing = True
+            ring, self._asleep = self._asleep, False
+        if ring:
+            self._bell.release()
+        if self._thread.is_alive():
+            self._thread.join(patience_s)
+        with self._lock:
+            left = list(self._queue) if isinstance(self._queue, deque) else self._queue.clear()
+            if isinstance(self._queue, deque):
+                self._queue.clear()
+        for request in left:
+            request.fail(shutting_down())
+            self._finish(request)
+
+    def _step(self) -> bool:
+        batch, late = self._take()
+        for request in late:
+            request.fail(Busy("its turn comes after its asker's deadline; ask again later", retry_ms=_RETRY_MS))
+            self._finish(request)
+        began = time.monotonic()
+        unfinished = self._attempt(batch) if batch else ()
+        with self._lock:
+            for request in unfinished:
+                self._count(request, 1)
+                if isinstance(self._queue, FairQueue):
+                    self._queue.put_back(request)
+                else:
+                    self._queue.appendleft(request)
+        if self._rests and self._queue:
+            self._ending.wait(time.monotonic() - began)
+        return bool(batch or late)
+
+    def _attempt(self, batch: list[_Job]) -> Sequence[_Job]:
+        """Whatever happens, every client gets an answer."""
+        unfinished: Sequence[_Job] = ()
+        try:
+            unfinished = self._work(batch) or ()
+        except BaseException as error:
+            for request in batch:
+                request.fail_unexpectedly(error)
+        for request in batch:
+            if request in unfinished:
+                continue
+            if not request.held and not request.answered:
+                request.fail_unexpectedly(RuntimeError("left without an answer"))
+            self._finish(request)
+        return unfinished
+
+    def _finish(self, request: _Job) -> None:
+        """Answers those who joined it, and lets nobody join any more."""
+        if isinstance(request, Request) and request.fingerprint is not None:
+            with self._lock:
+                self._asked.pop(request.fingerprint, None)
+            request.answer_repeats()
+
+    def _take(self) -> tuple[list[_Job], list[_Job]]:
+        """What waits, as much as may be worked off together, and what waited too long; nothing once the lane closes."""
+        while True:
+            with self._lock:
+                if self._queue or self._closing:
+                    return self._next()
+                self._asleep = True
+            self._bell.acquire()
+
+    def _next(self) -> tuple[list[_Job], list[_Job]]:
+        batch: list[_Job] = []
+        late: list[_Job] = []
+        size = 0
+        while self._queue and len(batch) < self._most and size <= _BATCH_BYTES:
+            request = self._queue.popleft()
+            self._count(request, -1)
+            if self._patience_s is not None and self._is_late(request):
+                late.append(request)
+            else:
+                batch.append(request)
+                size += request.size
+        return batch, late
+
+    def _is_late(self, request: _Job) -> bool:
+        known = request.deadline != math.inf
+        until = request.deadline if known else request.received + (self._patience_s or 0.0)
+        return time.perf_counter() > until
+
+
+def busy(verb: str) -> Busy:
+    """What is answered when a queue is full."""
+    return Busy(f"too many requests of {verb!r} are waiting already; ask again later", retry_ms=_RETRY_MS)

@@ -1,0 +1,90 @@
+"""A thread that others take over from while it is held up: one of them is always on duty.
+
+A client that asks and does not read holds up the thread that answers it until its connection is cut off. Whatever that
+thread has in hand waits; nothing else need.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from typing import Final, final
+
+from crkr.server.thread_faults import keep_running
+
+__all__ = ["Relay"]
+
+_PATIENCE_S: Final = 0.05  # fifty times what work between `begin` and `end` takes
+_MOST: Final = 16  # threads at once; each that is held up ends as soon as it is not
+
+
+@final
+class Relay:
+    """Runs `work(turn)` on a thread, and on another one with the next turn when that is held up.
+
+    `work` calls `begin` before what may hold it up and `end` after it, and returns as soon as `end` says that its turn
+    is over. What it shares with later turns it may touch only while it is on duty.
+    """
+
+    def __init__(self, work: Callable[[int], None], name: str) -> None:
+        self._work, self._name = work, name
+        self._lock = threading.Lock()
+        self._turn = 0
+        self._since: float | None = None  # when the thread on duty began what may hold it up
+        self._running: list[threading.Thread] = []
+        self._ended = threading.Event()
+        self._watch = threading.Thread(target=keep_running, args=(self._look,), name=f"{name} relay", daemon=True)
+
+    def start(self) -> None:
+        """Starts the first turn, or the next where the one before has nothing to take any more."""
+        with self._lock:
+            self._begin_turn()
+
+    def begin(self, turn: int) -> None:
+        """Says that the thread may be held up from now on."""
+        with self._lock:
+            if self._watch.ident is None:  # who is never held up needs no watch
+                self._watch.start()
+            if turn == self._turn:
+                self._since = time.monotonic()
+
+    def end(self, turn: int) -> bool:
+        """Says that it is not any more; whether it is still on duty."""
+        with self._lock:
+            if turn == self._turn:
+                self._since = None
+            return turn == self._turn
+
+    def on_duty(self, turn: int) -> bool:
+        """Whether no other turn has begun since.
+
+        A new thread may ask before `_begin_turn` has noted its turn; the lock makes it wait for that.
+        """
+        with self._lock:
+            return turn == self._turn
+
+    def join(self, patience_s: float) -> None:
+        """Waits for the thread on duty to end; no other takes over from now on."""
+        self._ended.set()
+        with self._lock:
+            running = self._running[-1:]
+        for thread in running:
+            thread.join(patience_s)
+
+    def _begin_turn(self) -> None:
+        turn = self._turn + 1
+        thread = threading.Thread(target=self._work, args=(turn,), name=self._name, daemon=True)
+        thread.start()  # it finds its turn only after this lock; where the system gives no thread, the old turn goes on
+        self._turn, self._since = turn, None
+        self._running.append(thread)
+
+    def _look(self) -> bool:
+        if self._ended.wait(_PATIENCE_S):
+            return False
+        with self._lock:
+            if self._since is not None and time.monotonic() - self._since > _PATIENCE_S:
+                self._running = [thread for thread in self._running if thread.is_alive()]
+                if len(self._running) < _MOST:
+                    self._begin_turn()
+        return True

@@ -1,0 +1,272 @@
+"""Answers `predict` from the model at hand: what waits together is answered together, and nothing waits to fill up.
+
+How long a prediction takes is known beforehand from the number of states b and of active samples m: the m^2 numbers of
+the factor are read once, and each state costs m^2 operations more. Where outcomes guide the goals, each state is
+compared with the observed trials besides. So what asks for much is told from what asks for little by work, not by
+bytes. What asks for much is answered in slices, between which other questions have their turns.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from typing import Any, Final, NamedTuple, Self, final
+
+import numpy as np
+
+from crkr.learner import Model
+from crkr.protocol import (
+    CrkrError,
+    Invalid,
+    NovelState,
+    Prediction,
+    PredictRequest,
+    most_states_answered,
+    pack,
+    random_ids,
+    unpack,
+)
+from crkr.protocol.messages.predict_bytes import Question, packed_rows, read_question, state_bytes
+from crkr.server.learning.tasks import ServedTask, Tasks
+from crkr.server.queries.request import Request
+from crkr.server.workers import Workers
+
+__all__ = ["Predictor"]
+
+_AT_ONCE_US: Final = 1000.0  # of work, after which others have their turn
+_STATE_US: Final = 3.0  # the work of a state, apart from the samples
+_SQUARE_US: Final = 30e-6  # for each state and each of m^2
+_PASS_US: Final = 120e-6  # for each of m^2, whatever the number of states
+_GUIDED_US: Final = 300.0  # for each state whose goal outcomes guide
+_TRIAL_US: Final = 0.016  # for each such state and each trial that it is compared with
+_LEAST: Final = 8  # states at a time; with fewer, reading the factor again and again would be most of the work
+_LONGEST: Final = 128  # name of a worker
+_ID_BYTES: Final = 18  # of an id in an answer
+_HEAD_BYTES: Final = 1024  # of an answer, its rows aside
+
+
+@final
+class Predictor:
+    """The work of the predict lanes; any thread may call it."""
+
+    def __init__(self, tasks: Tasks, workers: Workers) -> None:
+        self._tasks, self._workers = tasks, workers
+
+    def answer(self, requests: list[Request]) -> list[Request]:
+        """Answers requests, with a prediction or an error.
+
+        One that needs more than a millisecond is made patient and left; and those behind a millisecond's work are left
+        as they are.
+
+        Returns:
+            Those left, in the same order.
+        """
+        together: defaultdict[tuple[str, bool], list[tuple[Request, Question]]] = defaultdict(list)
+        left: list[Request] = []
+        work = 0.0
+        for place, request in enumerate(requests):
+            if work > _AT_ONCE_US:
+                left += requests[place:]
+                break
+            try:
+                task = self._tasks.get(request.task)
+                payload, cost = request.payload(), _Cost.of(task.model)
+                question, message = read_question(payload, task.dimensions), None
+                if question is None:
+                    message = unpack(payload)
+                    question = _question(message, task.dimensions)
+                needed = cost.us(1 if message is None else _states(message))
+                if needed > _AT_ONCE_US:
+                    request.patient = True
+                    left.append(request)
+                    continue
+                work += needed
+                if question is None:
+                    self._answer_alone(request, task)
+                    continue
+                alike = together[request.task, question.explore]
+                if alike:
+                    work -= cost.once_us  # the factor is read once for all of them
+                alike.append((request, question))
+            except BaseException as error:  # this one's fault alone; it is answered and the others go on
+                request.fail_unexpectedly(error)
+        for (name, explore), questions in together.items():
+            self._answer_together(self._tasks.get(name), explore, questions)
+        return left
+
+    def work(self, requests: list[Request]) -> list[Request]:
+        """Works at patient requests, each for about a millisecond, and answers those that are done; for their lane.
+
+        Returns:
+            Those that are not done.
+        """
+        unfinished: list[Request] = []
+        for request in requests:
+            try:
+                if request.progress is None:
+                    request.progress = _Batch.begin(request, self._tasks.get(request.task))
+                batch: _Batch = request.progress
+                if not batch.step():
+                    request.left = request.size * batch.share_left
+                    unfinished.append(request)
+                    continue
+                self._reply(request, batch.question, batch.result(), batch.ids, batch.compute_us)
+            except BaseException as error:
+                request.fail_unexpectedly(error)
+            request.progress = None
+        return unfinished
+
+    def _answer_together(self, task: ServedTask, explore: bool, questions: list[tuple[Request, Question]]) -> None:
+        """One call of the model for all; where one of them is refused, each is asked alone."""
+        started = time.perf_counter_ns()
+        states = np.frombuffer(b"".join([question.state for _, question in questions]), "<f8")
+        asked = states.reshape(len(questions), task.dimensions) if len(questions) > 1 else states
+        ids = [question.trial_id for _, question in questions]
+        try:
+            answer = task.model.predict(asked, explore, ids if explore else None)
+        except CrkrError:
+            for request, _ in questions:
+                try:
+                    self._answer_alone(request, task)
+                except BaseException as error:
+                    request.fail_unexpectedly(error)
+            return
+        rows = packed_rows(answer, ids, (time.perf_counter_ns() - started) // 1000)
+        for (request, question), row in zip(questions, rows, strict=True):
+            request.reply_packed(row)
+            if explore and question.worker:
+                self._workers.asked(task.name, question.worker, (question.trial_id,))
+
+    def _answer_alone(self, request: Request, task: ServedTask) -> None:
+        """Any form of request, checked in full."""
+        batch = _Batch.begin(request, task)
+        while not batch.step():
+            pass
+        self._reply(request, batch.question, batch.result(), batch.ids, batch.compute_us)
+
+    def _reply(
+        self, request: Request, question: PredictRequest, answer: Prediction, ids: Sequence[bytes], compute_us: int
+    ) -> None:
+        request.reply_packed(pack({**answer.to_wire(), "compute_us": compute_us}))
+        if question.explore and question.worker is not None:
+            self._workers.asked(request.task, question.worker, ids)
+
+
+@final
+class _Batch:
+    """A question about many states on its way to an answer, by the model that there was when it began.
+
+    A few states at a time: no other thread of Python runs while the factor is solved for them.
+
+    Attributes:
+        question: What is asked.
+        ids: One a state, of 16 bytes.
+        compute_us: Time of the model so far [us].
+    """
+
+    __slots__ = ("_done", "_model", "_novel", "_parts", "_states", "_step", "compute_us", "ids", "question")
+
+    def __init__(self, question: PredictRequest, model: Model) -> None:
+        self.question, self._model = question, model
+        self.ids = [one.bytes for one in question.trial_ids] or random_ids(question.count)
+        self.compute_us = self._done = 0
+        self._states = np.atleast_2d(question.states)
+        cost = _Cost.of(model)
+        self._step = max(_LEAST, int((_AT_ONCE_US - cost.once_us) / cost.state_us))
+        self._parts: list[Prediction] = []
+        self._novel: NovelState | None = None  # the most novel so far of states that the task refuses
+
+    @classmethod
+    def begin(cls, request: Request, task: ServedTask) -> Self:
+        """Reads a request; raises `Invalid`, and where the answer would be larger than a message may be."""
+        question = PredictRequest.from_wire(unpack(request.payload()), task.dimensions)
+        _refuse_long_answer(task, question.count)
+        return cls(question, task.model)
+
+    @property
+    def share_left(self) -> float:
+        """How much is left of it, from 1 to 0."""
+        return 1.0 - self._done / len(self._states)
+
+    def step(self) -> bool:
+        """Works for about a millisecond; whether it is done."""
+        started = time.perf_counter_ns()
+        first, self._done = self._done, min(self._done + self._step, len(self._states))
+        one = self.question.states.ndim == 1
+        states = self.question.states if one else self._states[first : self._done]
+        try:
+            self._parts.append(self._model.predict(states, self.question.explore, self.ids[first : self._done]))
+        except NovelState as error:
+            self._note_novel(error, first)
+        self.compute_us += (time.perf_counter_ns() - started) // 1000
+        return self._done == len(self._states)
+
+    def result(self) -> Prediction:
+        """The answer, once done; raises `NovelState` that names the most novel state of all."""
+        if self._novel is not None:
+            raise self._novel
+        return self._parts[0] if len(self._parts) == 1 else Prediction.joined(self._parts)
+
+    def _note_novel(self, error: NovelState, first: int) -> None:
+        if self._novel is None or error.details["novelty"] > self._novel.details["novelty"]:
+            index = error.details["index"]
+            message = error.message.replace(f"state {index} ", f"state {index + first} ", 1)
+            self._novel = NovelState(message, details={**error.details, "index": index + first})
+
+
+class _Cost(NamedTuple):
+    """About how long predictions by a model take, what every question costs left out.
+
+    Attributes:
+        once_us: For any number of states [us].
+        state_us: For each state [us].
+    """
+
+    once_us: float
+    state_us: float
+
+    @classmethod
+    def of(cls, model: Model) -> _Cost:
+        square, searched = model.active**2, model.explorer.searched
+        guided = _GUIDED_US + _TRIAL_US * searched if searched else 0.0
+        return cls(_PASS_US * square, _STATE_US + _SQUARE_US * square + guided)
+
+    def us(self, count: int) -> float:
+        """For so many states [us]."""
+        return self.once_us + count * self.state_us
+
+
+def _refuse_long_answer(task: ServedTask, count: int) -> None:
+    """Raises `Invalid` where the predictions of so many states are more than a message holds."""
+    spec = task.created
+    most = most_states_answered(len(spec.goal), len(spec.outcome) if spec.exploration.type == "outcome" else 0)
+    if count > most:
+        raise Invalid(
+            f"the answer for {count} states at once would be too large a message; ask task {task.name!r} about at "
+            f"most {most} at a time",
+            details={"field": "states", "most": most},
+        )
+
+
+def _states(message: Mapping[str, Any]) -> int:
+    """How many states a request seems to ask about; whether it is in order is found out when it is answered."""
+    states = message.get("states")
+    if type(states) is dict:
+        shape = states.get("shape")
+        return max(1, shape[0]) if type(shape) is list and len(shape) == 2 and type(shape[0]) is int else 1
+    return len(states) if type(states) is list and states and type(states[0]) is list else 1
+
+
+def _question(message: Mapping[str, Any], dimensions: int) -> Question | None:
+    """A request about one state that others can be answered together with; None: it needs a full look."""
+    explore, worker, given = message.get("explore", False), message.get("worker"), message.get("trial_ids")
+    state = state_bytes(message, dimensions)
+    if state is None or type(explore) is not bool:
+        return None
+    if worker is not None and not (type(worker) is str and len(worker) <= _LONGEST):
+        return None
+    if given is None:
+        given = random_ids(1)
+    one = type(given) is list and len(given) == 1 and type(given[0]) is bytes and len(given[0]) == 16
+    return Question(state, explore, given[0], worker) if one else None

@@ -1,0 +1,261 @@
+"""Answers what only asks: info, tasks, spec, status, model, samples, explain; none of it grows with use."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from importlib.metadata import version
+from itertools import islice
+from operator import itemgetter
+from typing import Any, Final, final
+from uuid import UUID
+
+from crkr.learner.explanation import explain
+from crkr.protocol import (
+    KINDS,
+    MAX_MESSAGE_BYTES,
+    MAX_STATES,
+    MAX_TRIALS,
+    MOST_KEPT,
+    PROTOCOL_VERSION,
+    Invalid,
+    ShuttingDown,
+    array_from_wire,
+    id_from_wire,
+    most_active,
+    pack_around,
+)
+from crkr.protocol.checks import integer, required
+from crkr.server.learning.tasks import ServedTask, Tasks, hyperparameters
+from crkr.server.learning.thread import Learning
+from crkr.server.log import LogReader
+from crkr.server.metrics.latency import Latencies
+from crkr.server.queries.queue import busy
+from crkr.server.queries.request import Request
+from crkr.server.thread_faults import FAULTS
+from crkr.server.workers import Workers
+
+__all__ = ["Reader"]
+
+_MOST: Final = 10_000  # samples, or tasks, of a page
+_MOST_ASKED: Final = 64  # steps of learning that are waited for, after which it explains no sample
+_MOST_WORKERS: Final = 256  # of a status
+_LONGEST: Final = 4096  # characters of what is wrong with a task
+_REST_BYTES: Final = 4096  # of a list of tasks, its entries aside
+_MOST_FAULTS: Final = 20  # that `info` tells of
+_PAGE_BYTES: Final = MAX_MESSAGE_BYTES // 2  # a page ends early rather than exceed what a message may be
+
+
+@final
+class Reader:
+    """The work of the reading lanes.
+
+    Args:
+        queues: How full the server's queues are, for `status`.
+    """
+
+    def __init__(
+        self,
+        server_id: UUID,
+        tasks: Tasks,
+        log: LogReader,
+        learning: Learning,
+        workers: Workers,
+        latencies: Latencies,
+        queues: Callable[[], Mapping[str, Any]],
+    ) -> None:
+        self._server_id, self._tasks, self._log, self._learning = server_id, tasks, log, learning
+        self._workers, self._latencies, self._queues = workers, latencies, queues
+        self._started, self._started_monotonic = time.time(), time.monotonic()
+        self._version = version("crkr")  # of what runs, which is not what is installed after an upgrade
+        self._verbs: Mapping[str, Callable[[Request], None]] = {
+            "info": self._info,
+            "tasks": self._list_tasks,
+            "spec": self._spec,
+            "status": self._status,
+            "model": self._model,
+            "samples": self._samples,
+            "explain": self._explain,
+        }
+
+    def work(self, requests: list[Request]) -> None:
+        """Answers every one of them."""
+        for request in requests:
+            try:
+                self._verbs[request.verb](request)
+            except BaseException as error:  # answered; the others go on
+                request.fail_unexpectedly(error)
+
+    def _info(self, request: Request) -> None:
+        tasks, following = self._tasks.page(*_span(request.message(), low=0))
+        threads = FAULTS.summary()
+        request.reply(
+            {
+                "protocol": PROTOCOL_VERSION,
+                "version": self._version,
+                "server_id": self._server_id,
+                "started": self._started,
+                "tasks": [task.name for task in tasks],
+                "task_count": len(self._tasks),
+                "next": following,
+                "faulty": {
+                    name: fault[:_LONGEST] for name, fault in islice(self._tasks.faults().items(), _MOST_FAULTS)
+                },
+                "limits": {"states": MAX_STATES, "trials": MAX_TRIALS, "message_bytes": MAX_MESSAGE_BYTES},
+                **({"threads": threads} if threads else {}),
+            }
+        )
+
+    def _list_tasks(self, request: Request) -> None:
+        message = request.message()
+        if "after" in message or "limit" in message:
+            tasks, following = self._tasks.page(*_span(message))
+            page, whole = _entries(tasks, _PAGE_BYTES)
+            if not whole:
+                following = integer(message.get("after", 0), "after") + len(page)
+        else:  # as clients of version 0.1 ask
+            following, (page, whole) = None, _entries(self._tasks.all(), MAX_MESSAGE_BYTES - _REST_BYTES)
+            if not whole:
+                raise Invalid(
+                    f"{len(self._tasks)} tasks are too many for one message, which holds {len(page)} of these; ask for "
+                    "one by its `spec`, or for pages by `limit` and `after` (the last page's `next`), as a newer "
+                    "client does",
+                    details={"tasks": len(self._tasks), "most": len(page)},
+                )
+        request.reply_packed(pack_around({"next": following}, "tasks", page))
+
+    def _faults(self) -> dict[str, str]:
+        return {name: fault[:_LONGEST] for name, fault in islice(self._tasks.faults().items(), _MOST_FAULTS)}
+
+    def _spec(self, request: Request) -> None:
+        request.message()
+        task = self._tasks.look(request.task)
+        about = {"log_id": task.log_id, "archived": task.archived, "model_version": task.model.version}
+        request.reply_packed(pack_around(about, "spec", task.packed_spec()))
+
+    def _status(self, request: Request) -> None:
+        request.message()
+        task = self._tasks.look(request.task)
+        model = task.model
+        queues = {**self._queues(), "learning": {"waiting": self._learning.backlog}}
+        workers, more_workers = _most_present(self._workers.status(task.name))
+        status: dict[str, Any] = {
+            "task": task.name,
+            "samples": {kind: task.samples[kind] for kind in KINDS},
+            "eligible": task.eligible,
+            "active": model.active,
+            "seq": task.seq,
+            "model_version": model.version,
+            "hyperparameters": hyperparameters(model),
+            "archived": task.archived,
+            "workers": workers,
+            "queues": queues,
+            "latency_us": self._latencies.summary(),
+            "uptime": time.monotonic() - self._started_monotonic,
+        }
+        if more_workers:
+            status["more_workers"] = more_workers
+        for name, trouble in (("fault", task.fault), ("damage", task.damage)):
+            if trouble:
+                status[name] = trouble[:_LONGEST]
+        if advice := _advice(task):
+            status["advice"] = advice
+        if threads := FAULTS.summary():
+            status["threads"] = threads
+        request.reply(status)
+
+    def _model(self, request: Request) -> None:
+        known = request.message().get("known_version")
+        model = self._tasks.get(request.task).model
+        if known is not None and integer(known, "known_version") == model.version:
+            request.reply({"unchanged": True, "version": model.version})
+            return
+        most = most_active(*map(len, (model.parameters.kernel.centre, model.parameters.scales)))
+        if model.active > most:  # as an earlier version allowed
+            raise Invalid(
+                f"the model of task {request.task!r} has {model.active} active samples, and a message holds {most}; "
+                "ask for predictions instead, or lower its budget by `crkr configure`",
+                details={"active": model.active, "most": most},
+            )
+        request.reply(model.to_wire())
+
+    def _samples(self, request: Request) -> None:
+        message = request.message()
+        task = self._tasks.look(request.task)
+        after = integer(message.get("after", 0), "after")
+        limit = integer(message.get("limit", 1000), "limit", low=1, high=_MOST)
+        samples, following = self._log.page(task.name, after, limit, _PAGE_BYTES)
+        request.reply({"samples": samples, "next": following})
+
+    def _explain(self, request: Request) -> None:
+        message = request.message()
+        task = self._tasks.get(request.task)
+        state = array_from_wire(required(message, "state"), "state")
+        sample = message.get("sample_id")
+        if sample is None:
+            request.reply(explain(task.model, state, None).to_wire())
+            return
+        sample_id = id_from_wire(sample, "sample_id")
+
+        def answer(_result: Any, failure: Exception | None) -> None:
+            if isinstance(failure, ShuttingDown):  # the learner may be busy still, on a thread that does not end
+                request.fail(failure)
+                return
+            try:
+                request.reply(task.learner.explain(state, sample_id).to_wire())
+            except BaseException as error:
+                request.fail_unexpectedly(error)
+
+        if self._learning.waiting(task)[1] >= _MOST_ASKED:
+            raise busy(request.verb)
+        request.held = True
+        self._learning.submit(task, (), answer)  # where one sample stands only the learner itself knows
+
+
+def _advice(task: ServedTask) -> list[dict[str, str]]:
+    """What its owner should know, though nothing is out of order."""
+    if task.spec.selector == "full" and task.eligible > task.model.active >= MOST_KEPT:
+        message = (
+            f'selector "full" learns from the first {MOST_KEPT} of {task.eligible} trials; the others are stored. '
+            'Import them into a task with selector "anms" to learn from all'
+        )
+        return [{"code": "full", "message": message}]
+    return []
+
+
+def _span(message: Mapping[str, Any], low: int = 1) -> tuple[int, int]:
+    """Which tasks are asked for: those past a number, in the order of their creation, and how many."""
+    return integer(message.get("after", 0), "after"), integer(message.get("limit", 1000), "limit", low=low, high=_MOST)
+
+
+def _entries(tasks: Sequence[ServedTask], most_bytes: int) -> tuple[list[bytes], bool]:
+    """Entries of a list of tasks as far as they fit, but one at least, and whether these are all."""
+    entries: list[bytes] = []
+    size = 0
+    for task in tasks:
+        entry = _entry(task)
+        size += len(entry)
+        if entries and size > most_bytes:
+            return entries, False
+        entries.append(entry)
+    return entries, True
+
+
+def _entry(task: ServedTask) -> bytes:
+    model = task.model
+    about = {
+        **({"fault": task.fault[:_LONGEST]} if task.fault else {}),
+        "samples": sum(task.samples.values()),
+        "active": model.active,
+        "model_version": model.version,
+        "archived": task.archived,
+    }
+    return pack_around(about, "spec", task.packed_spec())
+
+
+def _most_present(workers: list[dict[str, Any]]) -> tuple[list[dict[str, Any]], int]:
+    """As many workers as are listed, the living and those seen last before others, and how many are not."""
+    if len(workers) <= _MOST_WORKERS:
+        return workers, 0
+    ranked = sorted(workers, key=lambda worker: (worker["state"] != "alive", worker["last_seen_s"]))
+    return sorted(ranked[:_MOST_WORKERS], key=itemgetter("id")), len(workers) - _MOST_WORKERS

@@ -1,0 +1,237 @@
+"""The one thread that writes: commits, then acknowledges, then hands over to learning."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Mapping
+from typing import Any, Final, final
+
+from crkr.protocol import (
+    Busy,
+    Conflict,
+    Invalid,
+    Receipt,
+    ReportRequest,
+    ShuttingDown,
+    StorageError,
+    TaskSpec,
+    check_model_fits,
+    refuse_absurd,
+)
+from crkr.server.learning.tasks import ServedTask, Tasks
+from crkr.server.learning.thread import Learning
+from crkr.server.learning.waits import Waits
+from crkr.server.log import Event, PendingReport, Stored, TaskLog
+from crkr.server.metrics.durations import Durations
+from crkr.server.queries.queue import busy
+from crkr.server.queries.request import Job, Request
+from crkr.server.verbs.admin import Change, read_change
+from crkr.server.workers import Workers
+
+__all__ = ["MOST_REPORTS", "Writer", "refuse_archived"]
+
+logger = logging.getLogger(__name__)
+
+MOST_REPORTS: Final = 256  # in one commit
+_KNOWN_BEFORE: Final = frozenset({"archive", "fit"})  # what other changes did only the learner can tell
+_MOST_BACKLOG: Final = 20_000  # committed trials of a task that wait to be learned from
+_MOST_BACKLOG_OF_ALL: Final = 100_000  # the same of all tasks: one that learns slowly leaves room for the others
+_MOST_ASKED: Final = 1024  # steps of a task's learning that are waited for; a commit of reports may add to them
+_MOST_ASKED_OF_ALL: Final = 4096
+_MOST_HELD_BYTES: Final = 64 * 2**20  # of the requests that wait for them
+
+
+@final
+class Writer:
+    """The work of the write lane: reports in groups, everything else one by one, in the order they came.
+
+    Attributes:
+        commits: How long the log took to store what it was given together.
+    """
+
+    def __init__(self, log: TaskLog, tasks: Tasks, workers: Workers, learning: Learning) -> None:
+        self.commits: Final = Durations()
+        self._log, self._tasks, self._workers, self._learning = log, tasks, workers, learning
+        self._held_bytes, self._holding = 0, threading.Lock()
+        self._waits = Waits()
+        self._order = threading.Lock()  # from a commit to its place in learning's queue, nothing comes between
+
+    def work(self, requests: list[Request]) -> None:
+        """Answers every one of them, or hands it to learning to be answered."""
+        reports: list[Request] = []
+        for request in requests:
+            if request.verb == "report":
+                reports.append(request)
+                continue
+            self._store(reports)
+            reports = []
+            try:
+                if request.verb == "create_task":
+                    self._create(request)
+                else:
+                    self._change(request)
+            except BaseException as error:  # answered; the requests behind it go on
+                request.fail_unexpectedly(error)
+        self._store(reports)
+
+    def _store(self, requests: list[Request]) -> None:
+        decoded: list[tuple[Request, ServedTask, ReportRequest]] = []
+        for request in requests:
+            try:
+                decoded.append((request, *self._decode(request)))
+            except BaseException as error:
+                request.fail_unexpectedly(error)
+        if not decoded:
+            return
+        with self._order:
+            self._commit(decoded)
+
+    def _commit(self, decoded: list[tuple[Request, ServedTask, ReportRequest]]) -> None:
+        try:
+            pending = [PendingReport(task.name, asked.trials) for _, task, asked in decoded]
+            with self.commits.timing():
+                results = self._log.append_reports(pending)
+        except StorageError as error:
+            logger.error("reports were not stored: %s", error.message)
+            for request, _, _ in decoded:
+                request.fail(error)
+            return
+        for (request, task, asked), result in zip(decoded, results, strict=True):
+            self._acknowledge(request, task, asked, result)
+
+    def _decode(self, request: Request) -> tuple[ServedTask, ReportRequest]:
+        task = self._tasks.get(request.task)
+        refuse_archived(task)
+        own, everyones = self._learning.waiting(task)[0], self._learning.backlog
+        if own > _MOST_BACKLOG or everyones > _MOST_BACKLOG_OF_ALL:
+            raise Busy(f"{max(own, everyones)} trials wait to be learned from; ask again later", retry_ms=500)
+        asked = ReportRequest.from_wire(request.message(), task.created)
+        if asked.wait:  # a duplicate too, which adds no trial to the backlog
+            self._refuse_when_full(request, task)
+        return task, asked
+
+    def _refuse_when_full(self, request: Request, task: ServedTask) -> None:
+        full = self._held_bytes and self._held_bytes + request.size > _MOST_HELD_BYTES
+        waiting = self._learning.waiting(task)[1] >= _MOST_ASKED or self._learning.asked >= _MOST_ASKED_OF_ALL
+        if full or waiting or self._waits.too_long(task.name):
+            raise busy(request.verb)
+
+    def _hold(self, request: Job, sign: int = 1) -> None:
+        """Counts what a request keeps in memory until learning answers it, or no longer."""
+        with self._holding:
+            self._held_bytes += sign * request.size
+
+    def _acknowledge(self, request: Request, task: ServedTask, asked: ReportRequest, result: Stored | Conflict) -> None:
+        if isinstance(result, Conflict):
+            request.fail(result)
+            return
+        for entry in result.fresh:
+            task.note(entry)
+        for trial in asked.trials:
+            if trial.worker is not None:
+                self._workers.reported(task.name, trial.worker, (trial.id.bytes,))
+
+        def reply(_: Any = None, failure: Exception | None = None) -> None:
+            fresh = len(result.fresh)
+            receipt = Receipt(fresh, len(result.seqs) - fresh, result.seqs, task.model.version)
+            stored = isinstance(failure, ShuttingDown)  # only the version lags behind
+            if request.held:
+                self._hold(request, -1)
+            _settle(request, None if stored else failure, receipt.to_wire())
+
+        if asked.wait:
+            request.held = True
+            self._hold(request)
+            self._learning.submit(task, result.fresh, self._waits.timed(task.name, reply))
+            return
+        reply()
+        if result.fresh:
+            self._learning.submit(task, result.fresh)
+
+    def _create(self, request: Request) -> None:
+        spec = TaskSpec.from_dict(request.message())
+        task = self._tasks.find(spec.name)
+        if task is None:
+            check_model_fits(spec)
+            refuse_absurd(spec)
+            task = ServedTask(spec)  # refuses what the learner does not offer, before anything is stored
+            with self.commits.timing():
+                creation = self._log.create(spec)
+            task.begin(creation)
+            self._tasks.add(task)
+            logger.info("created task %s", spec.name)
+            request.reply({"created": True, "spec_hash": spec.fingerprint()})
+            return
+        fields = task.created.differences(spec)
+        if fields:
+            raise Conflict(
+                f"task {spec.name!r} exists with other {', '.join(fields)}; use its specification or another name",
+                details={"fields": fields},
+            )
+        request.reply({"created": False, "spec_hash": task.created.fingerprint()})
+
+    def _change(self, request: Request) -> None:
+        task = self._tasks.get(request.task)
+        change = read_change(request.verb, request.message(), task)
+        self._refuse_when_full(request, task)
+        self.commit(task, change, request)
+
+    def commit(self, task: ServedTask, change: Change, request: Job, configured: int | None = None) -> None:
+        """Commits a change and answers the request when the model includes it; any thread may.
+
+        Raises:
+            Conflict: The task was configured after log position `configured`, from which the change was worked out.
+            Invalid: The task is archived, or has no such trial.
+        """
+        with self._order:
+            if configured is not None and task.configured != configured:
+                raise Conflict(f"task {task.name!r} was configured anew meanwhile; ask again")
+            self._commit_change(task, change, request)
+
+    def _commit_change(self, task: ServedTask, change: Change, request: Job) -> None:
+        if task.archived and change.kind == "archive":  # asked again, perhaps because the answer was lost
+            self._await(task, (), task.seq, change, request)
+            return
+        refuse_archived(task)
+        missing = self._log.reads.missing(task.name, change.ids)
+        if missing:
+            listed = ", ".join(str(one) for one in missing[:5])
+            raise Invalid(
+                f"task {task.name!r} has no trial with {'this id' if len(missing) == 1 else 'these ids'}: {listed}",
+                details={"missing": [str(one) for one in missing]},
+            )
+        with self.commits.timing():
+            event = self._log.append_event(task.name, change.kind, change.body)
+        task.note(event)
+        logger.info("%s of task %s at log position %d", change.kind, task.name, event.seq)
+
+        self._await(task, event, event.seq, change, request)
+
+    def _await(self, task: ServedTask, event: Event | tuple[()], seq: int, change: Change, request: Job) -> None:
+        """Answers when the model includes the event, or the end of the server comes first."""
+
+        def answer(result: Any, failure: Exception | None) -> None:
+            if isinstance(failure, ShuttingDown) and change.kind in _KNOWN_BEFORE:
+                failure = None  # it is stored; only the version lags behind
+            self._hold(request, -1)
+            found = {} if failure else change.answer(task, result)
+            _settle(request, failure, {**found, "seq": seq, "model_version": task.model.version})
+
+        request.held = True
+        self._hold(request)
+        self._learning.submit(task, event, self._waits.timed(task.name, answer))
+
+
+def _settle(request: Job, failure: Exception | None, message: Mapping[str, Any]) -> None:
+    """Answers with the failure if there was one, else with the message."""
+    if failure is None:
+        request.reply(message)
+    else:
+        request.fail_unexpectedly(failure)
+
+
+def refuse_archived(task: ServedTask) -> None:
+    """Raises `Invalid` for a task that is archived."""
+    if task.archived:
+        raise Invalid(f"task {task.name!r} is archived: it answers reads only", details={"task": task.name})

@@ -1,0 +1,110 @@
+"""The fixed contexts that a task is judged on, and the trials that judge it."""
+
+from __future__ import annotations
+
+from typing import final
+
+import numpy as np
+
+from crkr.client import Task
+from crkr.client.tally import Tally, success_by_criterion
+from crkr.protocol import Prediction, Trial, evaluation_id
+from crkr.sim_worker.randomness import evaluation_rng
+from crkr.sim_worker.skill import Floats, Outcome, Skill
+
+__all__ = ["COST_OF_NOTHING", "EPOCH", "Examination", "FixedContexts"]
+
+EPOCH = 50
+"""Training trials of an epoch."""
+
+COST_OF_NOTHING = 1.0
+"""Cost of an evaluation whose goal could not be executed: the log wants a number, and nothing is worse."""
+
+
+@final
+class FixedContexts:
+    """The same contexts at each epoch, in each run of a task with this seed.
+
+    Args:
+        skill: Draws them.
+        seed: The task's seed.
+        count: How many.
+    """
+
+    def __init__(self, skill: Skill, seed: int, count: int) -> None:
+        self._skill = skill
+        self._seed = seed
+        self.states: Floats = np.array([skill.reset(evaluation_rng(seed, ball)) for ball in range(count)])
+
+    def execute(self, ball: int, goal: Floats) -> Outcome:
+        """Tries a goal (p,) in context `ball`."""
+        self._skill.reset(evaluation_rng(self._seed, ball))
+        return self._skill.execute(goal)
+
+
+@final
+class Examination:
+    """One epoch's evaluation: all goals from one model version, played one by one.
+
+    Args:
+        task: What is judged.
+        contexts: Where it is tried.
+        epoch: Which epoch has ended.
+        trained: Training trials that were stored when the model was asked.
+        answer: The model's answer to all contexts, (b, p) goals.
+        worker: Who plays.
+    """
+
+    def __init__(
+        self, task: Task, contexts: FixedContexts, epoch: int, trained: int, answer: Prediction, worker: str
+    ) -> None:
+        self.epoch = epoch
+        self._task = task
+        self._contexts = contexts
+        self._trained = trained
+        self._answer = answer
+        self._worker = worker
+        self.trials: list[Trial] = []
+        self.results: list[Outcome] = []
+
+    @property
+    def finished(self) -> bool:
+        """Whether every context was played."""
+        return len(self.trials) == len(self._contexts.states)
+
+    def rates(self) -> dict[str, float]:
+        """Success rate so far by criterion."""
+        tally = Tally()
+        for trial in self.trials:
+            tally.add(success_by_criterion(trial.success, trial.info))
+        return tally.rates()
+
+    def play_next(self) -> None:
+        """Plays the next context."""
+        ball = len(self.trials)
+        goal = self._answer.goals[ball]
+        result = self._contexts.execute(ball, goal)
+        self.results.append(result)
+        self.trials.append(
+            Trial.create(
+                self._task.spec,
+                id=evaluation_id(self._task.name, self.epoch, ball),
+                state=self._contexts.states[ball],
+                goal=goal,
+                cost=COST_OF_NOTHING if result.cost is None else result.cost,
+                success=result.success,
+                kind="evaluation",
+                outcome=result.outcome,
+                worker=self._worker,
+                model_version=self._answer.model_version,
+                info={**result.info, "epoch": self.epoch, "ball": ball, "trained": self._trained},
+            )
+        )
+
+    def novelty(self, ball: int) -> float:
+        """How far context `ball` was from the samples, in [0, 1]."""
+        return float(self._answer.novelty[ball])
+
+    def sigma(self, ball: int) -> Floats:
+        """(p,) predictive standard deviations at context `ball`."""
+        return np.asarray(self._answer.sigmas[ball])

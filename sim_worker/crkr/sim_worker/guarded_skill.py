@@ -1,0 +1,205 @@
+"""A skill as its user wrote it, kept from ending its worker: its faults become failed trials, or one line."""
+
+from __future__ import annotations
+
+import logging
+import os
+import sys
+import traceback
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, redirect_stdout, suppress
+from pathlib import Path
+from typing import Any, Final, NoReturn, final
+from uuid import UUID
+
+import numpy as np
+
+from crkr.client.tally import success_by_criterion
+from crkr.protocol import CrkrError, Geom, TaskSpec, Trace, Trial
+from crkr.protocol.checks import finite_array
+from crkr.sim_worker.skill import Demonstration, Floats, Outcome, Skill
+
+__all__ = ["GuardedSkill", "SkillFault", "guarded_plan", "keep_standard_output", "told", "users_code"]
+
+logger = logging.getLogger(__name__)
+
+MOST_FAULTS: Final = 10
+"""Failures of `execute` in a row after which it is of no use to go on."""
+
+LONGEST: Final = 300
+NOBODY: Final = UUID(int=0)
+
+
+class SkillFault(CrkrError):
+    """A skill did what no skill may; the message says which part of it, and where."""
+
+
+@contextmanager
+def users_code(fault: Callable[[BaseException], NoReturn]) -> Iterator[None]:
+    """Runs code of a skill: what it prints goes to standard error, and whatever it raises, to `fault`.
+
+    Standard output belongs to a command's result. `SystemExit` is the skill's, not ours; only Ctrl-C passes.
+    """
+    try:
+        with redirect_stdout(sys.stderr):
+            yield
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:
+        fault(error)
+
+
+def keep_standard_output() -> None:
+    """Sends all that this process prints to standard error, also from libraries in C; for processes of a command."""
+    with suppress(OSError):  # there may be no standard error
+        os.dup2(2, 1)
+
+
+def told(error: BaseException) -> str:
+    """An exception in one line: what it is, what it says, and the line of code that raised it."""
+    said = " ".join(str(error).split())[:LONGEST]
+    frames = traceback.extract_tb(error.__traceback__)
+    where = f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})" if frames else ""
+    return f"{type(error).__name__}{': ' if said else ''}{said}{where}"
+
+
+@final
+class GuardedSkill:
+    """A skill whose results are checked; implements `Skill`.
+
+    What `execute` raises, or gives that no trial can be, is a failed trial with its reason. Whatever else raises, ends
+    the run with one line.
+
+    Args:
+        skill: What its user wrote.
+
+    Raises:
+        SkillFault: Each method but `execute`, for what the skill raised or gave; `execute`, at the tenth failure in a
+            row.
+    """
+
+    def __init__(self, skill: Skill) -> None:
+        self._skill = skill
+        self._name = type(skill).__name__
+        self._spec: TaskSpec | None = None
+        self._state: Floats | None = None
+        self._faults = 0
+        self._criteria: tuple[str, ...] = ()
+
+    def spec(self) -> TaskSpec:
+        """The skill's specification."""
+        with users_code(self._fault("spec")):
+            spec = self._skill.spec()
+        if not isinstance(spec, TaskSpec):
+            raise SkillFault(f"{self._name}.spec must return a TaskSpec; got {type(spec).__name__}")
+        self._spec = spec
+        return spec
+
+    def reset(self, rng: np.random.Generator) -> Floats:
+        """A new situation's state (d,)."""
+        size = len(self._checked_spec.state)
+        with users_code(self._fault("reset")):
+            self._state = finite_array(self._skill.reset(rng), "the state", (size,))
+        return self._state
+
+    def execute(self, goal: Floats) -> Outcome:
+        """What trying a goal (p,) gave; a fault of the skill is a failed trial."""
+        reasons: list[BaseException] = []
+        try:
+            with redirect_stdout(sys.stderr):
+                result = self._checked(self._skill.execute(goal), goal)
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:  # also SystemExit, and the panics of bindings
+            reasons.append(error)
+            result = self._failed(error)
+        self._faults = self._faults + 1 if reasons else 0
+        if self._faults >= MOST_FAULTS:
+            raise SkillFault(f"{self._name}.execute failed {self._faults} times in a row: {told(reasons[0])}")
+        return result
+
+    def demonstrations(self, count: int, rng: np.random.Generator) -> Sequence[Demonstration]:
+        """Successful goals."""
+        with users_code(self._fault("demonstrations")):
+            shown = list(self._skill.demonstrations(count, rng))
+            for number, one in enumerate(shown):
+                self._check_demonstration(number, one)
+        return shown
+
+    def scene(self) -> Sequence[Geom]:
+        """The shapes for drawing; none where the skill has none that can be drawn."""
+        try:
+            with redirect_stdout(sys.stderr):
+                shapes = list(self._skill.scene())
+        except Exception as error:
+            logger.warning("%s.scene: %s; displays show no shapes", self._name, told(error))
+            return []
+        strange = [type(shape).__name__ for shape in shapes if not isinstance(shape, Geom)]
+        if strange:
+            logger.warning("%s.scene must return Geoms; got %s; displays show no shapes", self._name, strange[0])
+            return []
+        return shapes
+
+    @property
+    def _checked_spec(self) -> TaskSpec:
+        return self.spec() if self._spec is None else self._spec
+
+    def _fault(self, method: str) -> Callable[[BaseException], NoReturn]:
+        def fault(error: BaseException) -> NoReturn:
+            raise SkillFault(f"{self._name}.{method}: {told(error)}") from error
+
+        return fault
+
+    def _checked(self, result: Outcome, goal: Floats) -> Outcome:
+        """The result with plain numbers, if a trial can hold it; raises otherwise."""
+        if not isinstance(result, Outcome):
+            raise TypeError(f"execute must return an Outcome; got {type(result).__name__}")
+        spec, cost = self._checked_spec, _scalar(result.cost)
+        trial = Trial.create(
+            spec,
+            id=NOBODY,
+            state=np.zeros(len(spec.state)) if self._state is None else self._state,
+            goal=goal,
+            cost=cost,
+            success=_scalar(result.success) and bool(_scalar(result.executed)),
+            kind="trial" if _scalar(result.executed) else "failed",
+            outcome=result.outcome,
+            info=result.info,
+        )
+        if trial.kind == "trial":
+            self._criteria = tuple(success_by_criterion(trial.success, trial.info))
+        trace = result.trace if isinstance(result.trace, Trace) else None
+        return Outcome(trial.cost, trial.success, trial.kind == "trial", trial.outcome, trial.info, trace)
+
+    def _failed(self, error: BaseException) -> Outcome:
+        """A trial that met none of the criteria that those before were judged by."""
+        if not self._faults:
+            logger.warning("%s.execute: %s; the trial counts as failed", self._name, told(error))
+            logger.debug("where it was raised", exc_info=error)
+        info: dict[str, Any] = {"reason": f"error: {type(error).__name__}", "error": told(error)}
+        if self._criteria != ("success",):
+            info["outcomes"] = dict.fromkeys(self._criteria, False)
+        return Outcome(None, False, False, None, info, None)
+
+    def _check_demonstration(self, number: int, one: Demonstration) -> None:
+        if not isinstance(one, Demonstration):
+            raise TypeError(f"a Demonstration is wanted; number {number} is a {type(one).__name__}")
+        if not isinstance(one.result, Outcome) or not isinstance(one.result.info, Mapping):
+            raise TypeError(f"the result of demonstration {number} must be an Outcome with a map of info")
+        finite_array(one.state, f"the state of demonstration {number}", (len(self._checked_spec.state),))
+        finite_array(one.goal, f"the goal of demonstration {number}", (len(self._checked_spec.goal),))
+
+
+def guarded_plan(planner: Any, state: Floats) -> dict[str, bool]:
+    """Success of a planner's best plan for a state (d,) by criterion; raises `SkillFault` for whatever it raises."""
+
+    def fault(error: BaseException) -> NoReturn:
+        raise SkillFault(f"{type(planner).__name__}.best_plan: {told(error)}") from error
+
+    with users_code(fault):
+        return {str(name): bool(met) for name, met in planner.best_plan(state).items()}
+
+
+def _scalar(value: Any) -> Any:
+    """A number or truth value out of an array without axes, also of another library's."""
+    return value.item() if hasattr(value, "item") and np.ndim(value) == 0 else value

@@ -1,0 +1,164 @@
+"""Finding a skill by its installed name, as "package.module:factory", or as "path/to/module.py:factory"."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+from contextlib import chdir
+from dataclasses import dataclass
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Any, Final, NoReturn, final
+
+from crkr.protocol import CrkrError, Invalid, TaskSpec
+from crkr.sim_worker.guarded_skill import GuardedSkill, told, users_code
+from crkr.sim_worker.skill import Skill, SkillOptions
+
+__all__ = ["GROUP", "MissingLibrary", "check_skill", "default_task", "installed_skills", "load_skill", "specification"]
+
+GROUP: Final = "crkr.skills"
+
+
+def installed_skills() -> tuple[str, ...]:
+    """Names that installed packages offer in the entry point group `crkr.skills`, sorted."""
+    return tuple(sorted(entry_points(group=GROUP).names))
+
+
+class MissingLibrary(CrkrError, ModuleNotFoundError):
+    """A skill of one's own imports what is not installed."""
+
+
+def check_skill(name: str) -> str:
+    """Returns `name` if it is installed or names a module or a file and its factory; loads nothing.
+
+    Raises:
+        Invalid: Neither.
+    """
+    if ":" in name:
+        _Place.of(name)
+    elif name not in installed_skills():
+        listed = ", ".join(installed_skills()) or "none"
+        file = Path(name).with_suffix(".py")
+        found = f"; {file} is named with its factory, as {file}:make" if file.is_file() else ""
+        raise Invalid(
+            f"no skill {name!r}; installed: {listed}; one of your own is given as package.module:factory{found}"
+        )
+    return name
+
+
+def default_task(name: str) -> str:
+    """Name of a task for a skill, after its module where it is no installed one; raises `Invalid` as `check_skill`."""
+    check_skill(name)
+    return name if ":" not in name else _Place.of(name).module.split(".")[-1].replace("_", "-").lower()
+
+
+def load_skill(name: str, options: SkillOptions) -> Skill:
+    """Makes a skill.
+
+    Args:
+        name: An installed skill's name; "package.module:factory", looked up from the working directory too; or a file,
+            as "path/to/module.py:factory" or "./module:factory".
+        options: How it is to be set up.
+
+    Raises:
+        Invalid: No such skill, an option that it does not know, or whatever else its module or factory raises.
+        ModuleNotFoundError: A library that the skill needs is not installed.
+    """
+    factory = _from_module(name) if ":" in name else _from_entry_point(name)
+
+    def fault(error: BaseException) -> NoReturn:
+        if isinstance(error, CrkrError | ModuleNotFoundError):
+            raise error
+        raise Invalid(f"skill {name!r}: its factory raised {told(error)}") from error
+
+    with users_code(fault):
+        skill: Skill = factory(options)
+    lacking = [method for method in ("spec", "reset", "execute") if not callable(getattr(skill, method, None))]
+    if lacking:
+        kind = type(skill).__name__
+        raise Invalid(f"skill {name!r}: its factory made a {kind}, which has no method {' or '.join(lacking)}")
+    return skill
+
+
+def specification(skill: str, /, **options: Any) -> TaskSpec:
+    """What a skill made with these `SkillOptions` learns under; `crkr create` finds it by its entry point.
+
+    Raises:
+        Invalid: No such skill, or an option that it does not know.
+        ModuleNotFoundError: A library that the skill needs is not installed.
+    """
+    with chdir(os.getcwd()):  # wherever the skill goes: the command may write a file that it was named before
+        return GuardedSkill(load_skill(skill, SkillOptions(**options))).spec()
+
+
+def _from_entry_point(name: str) -> Any:
+    check_skill(name)
+    return next(iter(entry_points(group=GROUP, name=name))).load()
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class _Place:
+    """Where a skill of one's own is.
+
+    Attributes:
+        folder: To be looked in first.
+        module: Dotted name.
+        factory: Name in the module.
+        file: The module's file, where the skill was named by that.
+    """
+
+    folder: Path
+    module: str
+    factory: str
+    file: Path | None = None
+
+    @classmethod
+    def of(cls, name: str) -> _Place:
+        """Reads a name with a colon; raises `Invalid` for one that names no module, no factory or no file."""
+        where, _, factory = name.rpartition(":")
+        if not where or not factory.isidentifier():
+            lacks = "names no module" if not where else "names no factory"
+            raise Invalid(f"skill {name!r} {lacks}; skills are named module:factory, as reach:make")
+        if os.sep in where or where.endswith(".py"):
+            file = Path(where if where.endswith(".py") else f"{where}.py").absolute()
+            if not file.is_file():
+                raise Invalid(f"skill {name!r}: there is no file {file}")
+            if "." in file.stem:
+                raise Invalid(f"skill {name!r}: Python imports no file with a dot in its name; rename {file.name}")
+            return cls(file.parent, file.stem, factory, file)
+        if not all(part.isidentifier() for part in where.split(".")):
+            raise Invalid(f"skill {name!r}: {where!r} is no module's name; skills are named module:factory")
+        return cls(Path.cwd(), where, factory)
+
+
+# Third-party packages that an extra of crkr brings: what lacks one is told which extra to install.
+_OURS: Final = ("PIL", "av", "clarabel", "coal", "matplotlib", "mujoco", "pinocchio", "scipy")
+
+
+def _from_module(name: str) -> Any:
+    place = _Place.of(name)
+    if str(place.folder) not in sys.path:  # the `crkr` script, unlike `python -m`, does not look there
+        sys.path.insert(0, str(place.folder))
+
+    def fault(error: BaseException) -> NoReturn:
+        if not isinstance(error, ModuleNotFoundError):
+            raise Invalid(f"skill {name!r}: its module cannot be imported: {told(error)}") from error
+        missing = error.name or ""
+        if f"{place.module}.".startswith(f"{missing}."):
+            raise Invalid(f"skill {name!r}: there is no module {missing!r}") from error
+        if missing.partition(".")[0] in _OURS:
+            raise error
+        raise MissingLibrary(f"skill {name!r}: there is no module {missing!r}, which it imports") from error
+
+    with users_code(fault):
+        module = importlib.import_module(place.module)
+    origin = getattr(module, "__file__", None)
+    if place.file is not None and (origin is None or not place.file.samefile(origin)):
+        taken = f"{place.module!r} is the name of another module, {origin or 'built in'}"
+        raise Invalid(f"skill {name!r}: {taken}; rename {place.file.name}")
+    factory = getattr(module, place.factory, None)
+    if not callable(factory):
+        raise Invalid(f"skill {name!r}: module {place.module!r} has no factory {place.factory!r}")
+    return factory

@@ -1,0 +1,103 @@
+"""From a plan to a finished run: skill, server, task, demonstrations, processes."""
+
+from __future__ import annotations
+
+import os
+import re
+import socket
+from collections.abc import Callable
+
+from crkr.client import Client, Task
+from crkr.protocol import NoSamples, Unavailable
+from crkr.sim_worker.evaluation.judge import JudgeSeat
+from crkr.sim_worker.guarded_skill import GuardedSkill
+from crkr.sim_worker.randomness import demonstration_rng, worker_seed
+from crkr.sim_worker.skill import Skill
+from crkr.sim_worker.skill_registry import load_skill
+from crkr.sim_worker.supervisor.demonstrations import record_demonstrations
+from crkr.sim_worker.supervisor.launch_plan import LaunchPlan, LaunchReport
+from crkr.sim_worker.supervisor.supervisor import Launcher, training_trials
+from crkr.sim_worker.supervisor.task_creation import create_or_join
+from crkr.sim_worker.worker.process import ProcessSettings
+from crkr.sim_worker.worker.trial_loop import Identity
+
+__all__ = ["launch"]
+
+QUICK_S = 1.0
+
+
+def launch(plan: LaunchPlan, say: Callable[[str], None], show: Callable[[int, str], None]) -> LaunchReport:
+    """Runs a plan.
+
+    Args:
+        plan: What to do.
+        say: Prints a line for people.
+        show: Shows the training trials stored and a remark, often.
+
+    Raises:
+        CrkrError: The skill is unknown, the server is away for longer than the patience, or the task is another one.
+    """
+    skill = GuardedSkill(load_skill(plan.skill, plan.options))
+    with Client(plan.endpoint, timeout_s=plan.timeout_s, zenoh_config=plan.zenoh_config) as client:
+        _wait_for_server(client, plan.patience_s, say)
+        task = create_or_join(client, skill.spec(), say, its_settings=plan.options.preset is None)
+        added = _demonstrate(plan, task, skill, say)
+        status = task.status()
+        trained, identity = training_trials(status), Identity(_name(), plan.seed, int(status["seq"]))
+        asked = "" if plan.total is None else f", {plan.total} asked for"
+        say(f"task {task.name} holds {trained} training trials{asked}")
+        seat = JudgeSeat(client, task, say) if plan.evaluations else None
+        launcher = Launcher(
+            plan,
+            task,
+            _settings(plan, task, identity),
+            [worker_seed(plan.seed, index) for index in range(plan.workers)],
+            trained,
+            seat,
+            say,
+            show,
+        )
+        report = launcher.run()
+    report.demonstrations = added
+    return report
+
+
+def _wait_for_server(client: Client, patience_s: float, say: Callable[[str], None]) -> None:
+    try:
+        client.wait_until_ready(min(QUICK_S, patience_s))
+    except Unavailable:
+        say(f"waiting up to {patience_s:g} s for a server at {client.endpoint}")
+        client.wait_until_ready(patience_s)
+
+
+def _demonstrate(plan: LaunchPlan, task: Task, skill: Skill, say: Callable[[str], None]) -> int:
+    worker = f"{_name()}-demo"
+    with task.announce(worker):  # a worker like others, which leaves when it has shown what it can
+        added = record_demonstrations(task, skill, plan.demonstrations, demonstration_rng(plan.seed), worker)
+    if added:
+        say(f"recorded {added} demonstrations")
+    if not task.status()["active"]:
+        raise NoSamples(f"task {task.name!r} has nothing to start from; let --demonstrations be more than 0")
+    return added
+
+
+def _settings(plan: LaunchPlan, task: Task, identity: Identity) -> ProcessSettings:
+    return ProcessSettings(
+        skill=plan.skill,
+        options=plan.options,
+        task=task.name,
+        endpoint=plan.endpoint,
+        zenoh_config=plan.zenoh_config,
+        timeout_s=plan.timeout_s,
+        patience_s=plan.patience_s,
+        identity=identity,
+        evaluations=plan.evaluations,
+        wait=plan.wait,
+        log_level=plan.log_level,
+    )
+
+
+def _name() -> str:
+    """This launcher's name in worker ids: unique among machines, containers and launchers."""
+    host = re.sub(r"[^a-z0-9]+", "-", socket.gethostname().lower()).strip("-")[:32] or "host"
+    return f"{host}-{os.getpid()}"

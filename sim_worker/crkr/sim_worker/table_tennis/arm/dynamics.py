@@ -1,0 +1,129 @@
+"""Kinematics and dynamics of the arm, by Pinocchio on the same scene file that MuJoCo simulates."""
+
+from __future__ import annotations
+
+from importlib.resources import as_file, files
+from typing import Any, NamedTuple, final
+
+import numpy as np
+import pinocchio
+from numpy.typing import NDArray
+
+__all__ = ["ACCELERATION_LIMITS", "SPEED_LIMITS", "Arm", "Paddle", "Unreachable"]
+
+Floats = NDArray[np.float64]
+
+# Universal Robots UR10e data sheet: 120 degrees/s for base and shoulder, 180 for the rest.
+SPEED_LIMITS = np.deg2rad([120.0, 120.0, 180.0, 180.0, 180.0, 180.0])
+# Our assumption, well inside what the torque limits allow in this workspace [rad/s^2].
+ACCELERATION_LIMITS = np.array([20.0, 20.0, 25.0, 40.0, 40.0, 60.0])
+
+DAMPING = 1e-4  # of the inverse kinematics' least squares, in [m^2]
+POSTURE_GAIN = 0.5  # pull towards the preferred posture in the redundant direction, per iteration
+PULLS = 25  # iterations with that pull; the rest only close the error
+ITERATIONS = 40
+
+
+class Unreachable(Exception):
+    """No joint position puts the paddle there within the limits."""
+
+
+class Paddle(NamedTuple):
+    """Where the paddle's face is.
+
+    Attributes:
+        position: (3,) centre of the blade [m].
+        normal: (3,) unit normal of the front face.
+        velocity: (3,) of the centre [m/s].
+        spin: (3,) angular velocity [rad/s].
+    """
+
+    position: Floats
+    normal: Floats
+    velocity: Floats
+    spin: Floats
+
+
+@final
+class Arm:
+    """Six joints and a paddle; joint vectors are (6,) in radians from shoulder pan to wrist 3."""
+
+    def __init__(self) -> None:
+        with as_file(files("crkr.sim_worker.table_tennis") / "scene.xml") as path:
+            self.model: Any = pinocchio.buildModelFromMJCF(str(path))
+            # Shapes without collision masks, the table's included, are "visual" to Pinocchio.
+            self.shapes: Any = pinocchio.buildGeomFromMJCF(self.model, str(path), pinocchio.GeometryType.VISUAL)
+        self._data = self.model.createData()
+        self._frame = self.model.getFrameId("paddle")
+        self.lower = np.array(self.model.lowerPositionLimit)
+        self.upper = np.array(self.model.upperPositionLimit)
+
+    def paddle(self, joints: Floats, speeds: Floats | None = None) -> Paddle:
+        """Pose of the paddle, and its velocity for joint `speeds` (6,) [rad/s] (at rest if None)."""
+        model, data = self.model, self._data
+        if speeds is None:
+            pinocchio.forwardKinematics(model, data, joints)
+            velocity = spin = np.zeros(3)
+        else:
+            pinocchio.forwardKinematics(model, data, joints, speeds)
+            aligned = pinocchio.ReferenceFrame.LOCAL_WORLD_ALIGNED
+            twist = pinocchio.getFrameVelocity(model, data, self._frame, aligned)
+            velocity, spin = np.array(twist.linear), np.array(twist.angular)
+        placement = pinocchio.updateFramePlacement(model, data, self._frame)
+        return Paddle(np.array(placement.translation), np.array(placement.rotation[:, 0]), velocity, spin)
+
+    def jacobian(self, joints: Floats) -> Floats:
+        """(6, 6) of the paddle's centre: linear velocity over angular velocity, in the table frame."""
+        aligned = pinocchio.ReferenceFrame.LOCAL_WORLD_ALIGNED
+        return np.array(pinocchio.computeFrameJacobian(self.model, self._data, joints, self._frame, aligned))
+
+    def torques(self, joints: Floats, speeds: Floats, accelerations: Floats) -> Floats:
+        """(6,) inverse dynamics [N m], rotor inertia included."""
+        return np.array(pinocchio.rnea(self.model, self._data, joints, speeds, accelerations))
+
+    def reach(self, position: Floats, normal: Floats, posture: Floats) -> Floats:
+        """Joints that put the paddle's centre at `position` (3,) [m], its front facing along `normal` (3,).
+
+        Damped Gauss-Newton from `posture` (6,), which also settles the one redundant direction, so that nearby
+        targets have nearby answers.
+
+        Raises:
+            Unreachable: No convergence, or a joint limit is crossed.
+        """
+        joints = np.array(posture, dtype=np.float64)
+        for iteration in range(ITERATIONS):
+            paddle, jacobian = self.paddle(joints), self.jacobian(joints)
+            # The normal n moves with omega x n, of which only the two components across n are free.
+            across = np.array(_tangents(paddle.normal))  # (2, 3)
+            error = np.concatenate([position - paddle.position, across @ normal])  # (5,)
+            facing = float(paddle.normal @ normal) > 0
+            if facing and iteration > PULLS and np.abs(error).max() < 1e-10:
+                break
+            turning = across @ -_skew(paddle.normal) @ jacobian[3:]
+            rows = np.vstack([jacobian[:3], turning])  # (5, 6)
+            inverse = rows.T @ np.linalg.inv(rows @ rows.T + DAMPING * min(1.0, float(error @ error)) * np.eye(5))
+            rest = (POSTURE_GAIN if iteration < PULLS else 0.0) * (posture - joints)
+            change = inverse @ error + rest - inverse @ (rows @ rest)
+            joints += change * min(1.0, 0.5 / max(float(np.abs(change).max()), 1e-12))
+        else:
+            raise Unreachable("inverse kinematics does not converge")
+        if (joints < self.lower).any() or (joints > self.upper).any():
+            raise Unreachable("a joint position limit is crossed")
+        return joints
+
+    def speeds_for(self, joints: Floats, velocity: Floats) -> Floats:
+        """Smallest joint speeds (6,) [rad/s], relative to the limits, for a `velocity` (3,) of the paddle's centre."""
+        rows = self.jacobian(joints)[:3] * SPEED_LIMITS
+        return np.asarray(SPEED_LIMITS * (rows.T @ np.linalg.solve(rows @ rows.T, velocity)), dtype=np.float64)
+
+
+def _tangents(normal: Floats) -> tuple[Floats, Floats]:
+    helper = np.eye(3)[int(np.argmin(np.abs(normal)))]
+    first = np.cross(normal, helper)
+    first /= np.linalg.norm(first)
+    return first, np.cross(normal, first)
+
+
+def _skew(vector: Floats) -> Floats:
+    x, y, z = vector
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

@@ -1,0 +1,59 @@
+"""What a trial leaves behind to be judged: the same for every environment."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, Protocol, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from crkr.sim_worker.primitives.joint_trajectory import JointTrajectory
+from crkr.sim_worker.table_tennis.arm.dynamics import Paddle
+from crkr.sim_worker.table_tennis.ball.flight import Ball, Curl
+
+__all__ = ["FOLLOW", "Environment", "Play"]
+
+Floats = NDArray[np.float64]
+
+FOLLOW: Final = 0.12  # how long the swing is followed after the hit time [s]; from then on the ball only flies
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Play:
+    """One swing at one ball, in the table frame, times from the snapshot.
+
+    Attributes:
+        hit_time: When the goal asked for the hit [s].
+        ball: The ball at that time.
+        untouched: (3,) where the ball would be at that time had nothing struck it earlier [m].
+        paddle: The paddle at that time, from measured joints.
+        touched: Whether ball and paddle met.
+        end: Until when the swing was followed [s].
+        after: The ball then.
+        time: (n,) [s] of the recorded motion below.
+        joints: (n, 6) measured joint positions [rad].
+        path: (n, 3) ball positions [m].
+        curl: Lift of the ball from `end` on, as `fly` takes it.
+    """
+
+    hit_time: float
+    ball: Ball
+    untouched: Floats
+    paddle: Paddle
+    touched: bool
+    end: float
+    after: Ball
+    time: Floats
+    joints: Floats
+    path: Floats
+    curl: Curl = None
+
+
+class Environment(Protocol):
+    """A way to execute swings."""
+
+    def play(self, ball: Floats, swing: JointTrajectory, hit_time: float) -> Play:
+        """Executes `swing` against the ball that was `ball` (6,) at time 0; raises `Diverged` if that fails."""
+        ...

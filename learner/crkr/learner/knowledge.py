@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
-from typing import Any, Final, final
+from typing import Any, final
 from uuid import UUID
 
 import numpy as np
@@ -24,6 +24,7 @@ from crkr.learner.selection.eligible_rows import RadiiCache, Selection
 from crkr.learner.selection.selector import SelectorFactory
 from crkr.protocol import Array, Conflict, Invalid, TaskSpec, Trial, id_from_wire
 from crkr.protocol.checks import cost_number, finite_array, number
+from crkr.protocol.messages.sizes import MOST_RECENT
 
 __all__ = ["Knowledge", "check_fit"]
 
@@ -39,8 +40,6 @@ def check_fit(spec: TaskSpec, lengthscales: object, signal_variance: object) -> 
     if (fitted <= 0).any():
         raise Invalid(f"lengthscales must be positive; got {fitted.tolist()}")
     return fitted, variance
-
-_NEWEST: Final = 200  # trials that say how often goals succeed
 
 
 @final
@@ -273,7 +272,7 @@ class Knowledge:
         """What the newest trials say of success; nothing where outcomes say more."""
         if self._guided is not None:
             return None
-        rows = self.store.newest_tried(_NEWEST)
+        rows = self.store.newest_tried(MOST_RECENT)
         if not len(rows):
             return None
         return SuccessRate(self._kernel.standardise(self.store.states[rows]), self.store.successes(rows).astype(float))

@@ -143,8 +143,8 @@ class Model:
             goals, corrected, outcome, deviation, chance = self.explorer.draw(states, means, sigmas, ids)
         else:
             goals, corrected, outcome, deviation, chance = self.explorer.best(states, means, sigmas)
-        if chance is None and self.rate is not None:
-            chance = self.rate.at(z)
+        if chance is None:
+            chance = np.full(z.shape[:-1], np.nan) if self.rate is None else self.rate.at(z)
         for array in (goals, means, sigmas, novelty, corrected, outcome, deviation, chance):
             if array is not None:
                 array.setflags(write=False)
@@ -172,7 +172,8 @@ class Model:
     def to_wire(self) -> dict[str, Any]:
         """The model as data, as the `model` query returns it."""
         samples = {"states": self.states, "goals": self.goals, "costs": self.costs, "ids": list(self.ids)}
-        return {"version": self.version, **samples, **self.parameters.to_wire()}
+        rate = {} if self.rate is None else {"recent": {"states": self.rate.Z, "success": self.rate.success}}
+        return {"version": self.version, **samples, **self.parameters.to_wire(), **rate}
 
     @classmethod
     def from_wire(cls, message: Mapping[str, Any]) -> Model:
@@ -196,6 +197,7 @@ class Model:
             finite_array(arrays["states"].reshape(-1, d), "states", (m, d)),
             finite_array(arrays["goals"].reshape(-1, p), "goals", (m, p)),
             finite_array(arrays["costs"], "costs", (m,)),
+            rate=_rate(message.get("recent"), d),
         )
 
 
@@ -218,6 +220,15 @@ def _checked_ids(given: Sequence[UUID | bytes] | UUID | bytes | None, count: int
     if len(ids) != count or len({one.int for one in ids}) != count:  # a UUID's own hash takes twice as long
         raise Invalid(f"trial_ids must be {count} different ids, one a state; got {len(ids)}")
     return ids
+
+
+def _rate(recent: object, d: int) -> SuccessRate | None:
+    """The newest trials of a model as data, standardised; None from a server of version 0.1."""
+    if not isinstance(recent, Mapping):
+        return None
+    success = finite_array(_array(recent.get("success"), "recent.success"), "recent.success", (None,))
+    states = _array(recent.get("states"), "recent.states").reshape(-1, d)
+    return SuccessRate(finite_array(states, "recent.states", (len(success), d)), success)
 
 
 def _array(value: object, name: str) -> Array:

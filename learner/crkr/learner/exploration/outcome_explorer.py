@@ -29,8 +29,7 @@ from crkr.learner.exploration.outcome_index import ObservedTrials
 from crkr.learner.exploration.outcome_model import OutcomeModel, Prospect
 from crkr.learner.exploration.outcome_posterior import Posterior, condition_within
 from crkr.learner.exploration.outcome_scales import OutcomeScales
-from crkr.learner.exploration.prequential import features
-from crkr.learner.exploration.success import SuccessCurve
+from crkr.learner.exploration.prequential import Calibration, DeferredCalibration, features
 from crkr.learner.selection.anms_batch import Indices
 from crkr.protocol import Array, Exploration, TaskSpec
 
@@ -41,6 +40,7 @@ _BLOCK: Final = 8  # states at a time, whose matrices fit the cache
 _STILL: Final = 0.02  # scales; an update that moves the goal by less is the last
 _REFIT: Final = 0.3  # scales from where the model was fitted, beyond which it is fitted anew
 _SAFE: Final = np.log(0.9)  # P(executed) above which a mean that should hit is not looked at further
+_UNKNOWN: Final = Calibration()
 _WIDTHS: Final = (0.1, 0.3, 1.0)  # of the candidates, in standard deviations of P'
 
 
@@ -55,8 +55,7 @@ class OutcomeExplorer:
         scales: The task's units.
         trials: What was tried so far.
         groups: Those groups of outcomes that were observed in `min_trials` trials or more; others are not modelled.
-        curve: Tells P(success) of what a goal is expected to lead to; None: not known yet.
-        spread: (q,) factors that calibrate the predicted standard deviations; None: they are taken as they are.
+        calibration: How far its model may be believed.
     """
 
     plain: GaussianExplorer
@@ -64,8 +63,7 @@ class OutcomeExplorer:
     scales: OutcomeScales
     trials: ObservedTrials
     groups: tuple[int, ...]
-    curve: SuccessCurve | None = None
-    spread: Array | None = None
+    calibration: Calibration | DeferredCalibration = _UNKNOWN
 
     @classmethod
     def of(cls, spec: TaskSpec, scales: OutcomeScales, trials: ObservedTrials) -> OutcomeExplorer:
@@ -73,12 +71,12 @@ class OutcomeExplorer:
         return cls(GaussianExplorer.of(spec), spec.exploration, scales, trials, ()).with_trials(trials)
 
     def with_trials(
-        self, trials: ObservedTrials, curve: SuccessCurve | None = None, spread: Array | None = None
+        self, trials: ObservedTrials, calibration: Calibration | DeferredCalibration = _UNKNOWN
     ) -> OutcomeExplorer:
-        """The same with other trials to look up, and what they say of success."""
+        """The same with other trials to look up, and what they say of the model."""
         groups = range(len(self.scales.groups))
         enough = tuple(group for group in groups if trials.counts[group] >= self.settings.min_trials)
-        return replace(self, trials=trials, groups=enough, curve=curve, spread=spread)
+        return replace(self, trials=trials, groups=enough, calibration=calibration)
 
     @property
     def guides(self) -> bool:
@@ -223,7 +221,8 @@ class OutcomeExplorer:
     def _chance(self, seen: Prospect, chosen: Indices) -> Array:
         """(b,) P(success) of the goal chosen at each state; NaN where nothing is known."""
         looked_at = features(seen)[np.arange(len(chosen)), chosen]
-        return np.full(len(chosen), np.nan) if self.curve is None else self.curve.at(looked_at)
+        curve = self.calibration.get().curve
+        return np.full(len(chosen), np.nan) if curve is None else curve.at(looked_at)
 
     def _choice(
         self, goals: Array, corrected: Any, entries: Indices, raw: Array, variance: Array, chance: Array
@@ -233,8 +232,8 @@ class OutcomeExplorer:
         with np.errstate(over="ignore"):
             predicted[:, entries] = own.target[entries] + own.tolerance[entries] * raw
             deviation[:, entries] = own.tolerance[entries] * np.sqrt(variance)
-            if self.spread is not None:
-                deviation *= self.spread
+            if (spread := self.calibration.get().spread) is not None:
+                deviation *= spread
         return Choice(goals, corrected, predicted, deviation, chance)
 
 

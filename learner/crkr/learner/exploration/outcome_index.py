@@ -22,9 +22,10 @@ from crkr.learner.samples.store import SampleStore
 from crkr.learner.selection.anms_batch import Indices
 from crkr.protocol import Array
 
-__all__ = ["LARGEST_SINGLE", "SEARCHED", "ObservedTrials", "OutcomeIndex", "in_single_precision"]
+__all__ = ["LARGEST_SINGLE", "MARGIN", "SEARCHED", "ObservedTrials", "OutcomeIndex", "in_single_precision"]
 
 SEARCHED: Final = 20_000
+MARGIN: Final = 1_000  # older ones at hand, for what was searched when the newest came
 LARGEST_SINGLE: Final = 1e30  # squared length up to which distances are compared in single precision
 _ALIGNED: Final = 4  # numbers of a row, by which matrix products go through it fastest
 
@@ -47,6 +48,8 @@ class ObservedTrials:
             groups comes one more, `everything`, which is hidden nowhere.
         refused: (n,) which goals were refused, not executed.
         any_refused: Whether any was.
+        success: (n,) which did what was wanted.
+        shown: (n,) which are demonstrations.
     """
 
     X: Array
@@ -57,6 +60,8 @@ class ObservedTrials:
     hidden: tuple[Single | None, ...]
     refused: NDArray[np.bool_]
     any_refused: bool
+    success: NDArray[np.bool_]
+    shown: NDArray[np.bool_]
 
     @classmethod
     def of(
@@ -67,14 +72,18 @@ class ObservedTrials:
         Y: Array,
         hidden: Sequence[Single],
         refused: NDArray[np.bool_],
+        success: NDArray[np.bool_],
+        shown: NDArray[np.bool_],
     ) -> ObservedTrials:
         """Those of which `hidden` says where a group is hidden; the arrays become read-only."""
-        arrays: list[NDArray[Any]] = [X, single, Y, *hidden, refused]
+        arrays: list[NDArray[Any]] = [X, single, Y, *hidden, refused, success, shown]
         for array in arrays:
             array.setflags(write=False)
         counts = tuple(len(X) - int(np.count_nonzero(own)) for own in hidden)
         partly = (own if count < len(X) else None for own, count in zip(hidden, counts, strict=True))
-        return cls(X, single, fits_single, Y, (*counts, len(X)), (*partly, None), refused, bool(refused.any()))
+        return cls(
+            X, single, fits_single, Y, (*counts, len(X)), (*partly, None), refused, bool(refused.any()), success, shown
+        )
 
     @property
     def everything(self) -> int:
@@ -121,7 +130,7 @@ class OutcomeIndex:
         self._fits_single = True
         self._Y = Growable(np.float64, (q,))
         self._hidden = [Growable(np.float32) for _ in self._scales.groups]
-        self._refused = Growable(np.bool_)
+        self._refused, self._success, self._shown = (Growable(np.bool_) for _ in range(3))
         self._rows = Growable(np.int64)
         self._snapshot: ObservedTrials | None = None
 
@@ -130,8 +139,8 @@ class OutcomeIndex:
         rows = self.usable(rows)
         if not len(rows):
             return False
-        if len(self._rows) + len(rows) > 2 * self._searched:
-            rows = np.concatenate([self._rows.rows, rows])[-self._searched :]
+        if len(self._rows) + len(rows) > 2 * (self._searched + MARGIN):
+            rows = np.concatenate([self._rows.rows, rows])[-(self._searched + MARGIN) :]
             self._clear()
         points = self._scales.points(self._store.states[rows], self._store.goals[rows])
         deviations = self._scales.deviations(self._store.outcomes[rows])
@@ -143,6 +152,8 @@ class OutcomeIndex:
             (self._single, single),
             (self._Y, deviations),
             (self._refused, refused),
+            (self._success, self._store.successes(rows)),
+            (self._shown, self._store.demonstrated(rows)),
             (self._rows, rows),
         ]
         hidden = np.where(self._scales.observed(deviations), 0.0, np.inf)
@@ -159,17 +170,24 @@ class OutcomeIndex:
     def rebuild(self, rows: Indices) -> None:
         """Starts again with some rows of the store."""
         self._clear()
-        self.extend(rows[-self._searched :])
+        self.extend(rows[-(self._searched + MARGIN) :])
+
+    def __len__(self) -> int:
+        return len(self._rows)
 
     def snapshot(self) -> ObservedTrials:
         """What is searched from now on; later changes do not show in it."""
         if self._snapshot is None:
-            newest = slice(max(0, len(self._rows) - self._searched), None)
-            X, single, Y = (column.rows[newest] for column in (self._X, self._single, self._Y))
-            hidden = [column.rows[newest] for column in self._hidden]
-            refused = self._refused.rows[newest]
-            self._snapshot = ObservedTrials.of(X, single, self._fits_single, Y, hidden, refused)
+            self._snapshot = self.before(len(self))
         return self._snapshot
+
+    def before(self, position: int) -> ObservedTrials:
+        """What was searched when the trial at this position came, of those at hand."""
+        part = slice(max(0, position - self._searched), position)
+        X, single, Y = (column.rows[part] for column in (self._X, self._single, self._Y))
+        hidden = [column.rows[part] for column in self._hidden]
+        flags = (column.rows[part] for column in (self._refused, self._success, self._shown))
+        return ObservedTrials.of(X, single, self._fits_single, Y, hidden, *flags)
 
     def usable(self, rows: Indices) -> Indices:
         """Those of some rows that tell what a goal leads to, from the row `start` on."""

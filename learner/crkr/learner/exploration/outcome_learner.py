@@ -4,21 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Final, final
 
 import numpy as np
 
 from crkr.learner.exploration.outcome_explorer import OutcomeExplorer
-from crkr.learner.exploration.outcome_index import OutcomeIndex
+from crkr.learner.exploration.outcome_index import ObservedTrials, OutcomeIndex
 from crkr.learner.exploration.outcome_scales import OutcomeScales
-from crkr.learner.exploration.prequential import PrequentialRecord
+from crkr.learner.exploration.prequential import (
+    LOOKED_BACK,
+    Calibration,
+    DeferredCalibration,
+    PrequentialRecord,
+)
 from crkr.learner.samples.store import SampleStore
 from crkr.learner.selection.anms_batch import Indices
 from crkr.protocol import TaskSpec
 
 __all__ = ["Drift", "OutcomeLearner"]
 
-_LOOKED_BACK: Final = 200  # trials whose expectations are worked out again after a restart
 _KEPT_AT_DRIFT: Final = 8  # trials that show the change; older ones are of the robot as it was
 
 
@@ -53,24 +58,29 @@ class OutcomeLearner:
     """
 
     def __init__(self, spec: TaskSpec, store: SampleStore) -> None:
-        scales = OutcomeScales.of(spec)
-        self._store, self._watched = store, spec.exploration.drift
-        self._index = OutcomeIndex(scales, store)
-        self._record = PrequentialRecord(spec.exploration, scales)
+        self._store, self._settings, self._scales = store, spec.exploration, OutcomeScales.of(spec)
+        self._index = OutcomeIndex(self._scales, store)
+        self._record = PrequentialRecord(self._settings, self._scales)
+        self._behind: list[tuple[ObservedTrials, ObservedTrials]] = []  # that the record has still to note
         self._restarts = 0
         self._last_restart: int | None = None
-        self.explorer = OutcomeExplorer.of(spec, scales, self._index.snapshot())
+        self.explorer = OutcomeExplorer.of(spec, self._scales, self._index.snapshot())
 
     @property
     def drift(self) -> Drift:
         """How far the newest trials are from what was expected of them."""
         record = self._record
-        return Drift(self._restarts, self._last_restart, record.drift_score, self._watched and record.drifted)
+        return Drift(self._restarts, self._last_restart, record.drift_score, self._settings.drift and record.drifted)
 
     def extend(self, rows: Indices) -> None:
         """Learn from new rows of the store."""
-        self._note(rows)
-        self._renew()
+        new = len(self._index.usable(rows))
+        if not new:
+            return
+        self._index.extend(rows)
+        self._record.extend([*self._behind, *self._steps(new)])
+        self._behind = []
+        self.explorer = self.explorer.with_trials(self._index.snapshot(), self._record.calibration)
 
     def remove(self, rows: Sequence[int]) -> None:
         """Rows were removed from learning; start again without them."""
@@ -78,12 +88,22 @@ class OutcomeLearner:
             self.rebuild()
 
     def rebuild(self) -> None:
-        """Start again from the store."""
-        self._record.clear()
+        """Start again from the store. What the newest trials were expected to do is worked out when it is needed."""
         usable = self._index.usable(np.arange(len(self._store)))
-        self._index.rebuild(usable[: max(0, len(usable) - _LOOKED_BACK)])
-        self._note(usable[max(0, len(usable) - _LOOKED_BACK) :])
-        self._renew()
+        self._index.rebuild(usable)
+        tried = usable[~self._store.demonstrated(usable)]
+        looked_back = min(LOOKED_BACK, len(tried))
+        first = int(np.searchsorted(usable, tried[-looked_back])) if looked_back else len(usable)
+        self._behind = self._steps(len(usable) - first)
+        self._record = PrequentialRecord(self._settings, self._scales, len(tried) - looked_back)
+        settings, scales, count, behind = self._settings, self._scales, len(tried) - looked_back, self._behind
+
+        def calibration() -> Calibration:
+            record = PrequentialRecord(settings, scales, count)
+            record.extend(behind)
+            return record.calibration
+
+        self.explorer = self.explorer.with_trials(self._index.snapshot(), DeferredCalibration(calibration))
 
     def restart(self, seq: int, *, rebuild: bool) -> None:
         """Forget all but the newest trials: the robot has changed.
@@ -98,12 +118,8 @@ class OutcomeLearner:
         if rebuild:
             self.rebuild()
 
-    def _note(self, rows: Indices) -> None:
-        for row in self._index.usable(rows):
-            before = self._index.snapshot()
-            self._index.extend(np.array([row]))
-            if not self._store.is_demonstration(row):
-                self._record.add(before, self._index.snapshot(), self._store.succeeded(row))
-
-    def _renew(self) -> None:
-        self.explorer = self.explorer.with_trials(self._index.snapshot(), self._record.curve, self._record.spread)
+    def _steps(self, count: int) -> list[tuple[ObservedTrials, ObservedTrials]]:
+        """What was at hand before and after each of the newest trials."""
+        end = len(self._index)
+        views = [self._index.before(position) for position in range(end - count, end + 1)]
+        return list(pairwise(views))

@@ -1,13 +1,16 @@
 """What each trial was expected to do before it was learned from: prequential predictions [Dawid1984].
 
-They say how far the outcome model may be believed: the success curve is fitted to them, and a change of the robot shows
-in their residuals. A trial's prediction rests on the trials before it in the log only, so that it does not matter how
-trials were grouped on their way here.
+They say how far the outcome model may be believed: a success curve and the spread of predicted outcomes are fitted to
+them, and a change of the robot shows in their residuals. A trial's prediction rests on the trials before it in the log
+only, so that it does not matter how trials were grouped on their way here.
 """
 
 from __future__ import annotations
 
+import threading
 from collections import deque
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from typing import Final, NamedTuple, final
 
 import numpy as np
@@ -18,11 +21,12 @@ from crkr.learner.exploration.outcome_scales import GOAL_SHARE, OutcomeScales
 from crkr.learner.exploration.success import SuccessCurve
 from crkr.protocol import Array, Exploration
 
-__all__ = ["PrequentialRecord", "features"]
+__all__ = ["LOOKED_BACK", "Calibration", "DeferredCalibration", "PrequentialRecord", "features"]
 
 _KEPT: Final = 400
-_CURVE: Final = 200  # newest trials that the success curve is fitted to
+_FITTED: Final = 200  # newest trials that the calibration is fitted to
 _EVERY: Final = 10  # trials between two fits of it
+LOOKED_BACK: Final = _FITTED + _EVERY  # trials that decide the present calibration
 _PRIOR: Final = np.array([2.0, 1.0, 0.0, 1.0])  # of the curve's weights
 _SPREAD: Final = 1.5
 _FEWEST: Final = 20  # residuals of an entry, below which its standard deviation is taken as it is
@@ -38,11 +42,49 @@ _LEAST_USUAL: Final = 0.5
 _ALARM: Final = 12.0
 
 
-class Expected(NamedTuple):
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Calibration:
+    """How far the outcome model may be believed.
+
+    Attributes:
+        curve: Tells P(success) of what a goal is expected to lead to; None: not known yet.
+        spread: (q,) factors that calibrate the predicted standard deviations; None: they are taken as they are.
+    """
+
+    curve: SuccessCurve | None = None
+    spread: Array | None = None
+
+    def get(self) -> Calibration:
+        """Itself."""
+        return self
+
+
+@final
+class DeferredCalibration:
+    """A calibration that is worked out when it is first asked for, as after a restart.
+
+    Args:
+        make: Works it out, from data that never change.
+    """
+
+    def __init__(self, make: Callable[[], Calibration]) -> None:
+        self._make, self._lock = make, threading.Lock()
+        self._made: Calibration | None = None
+
+    def get(self) -> Calibration:
+        """The calibration; any thread may ask."""
+        with self._lock:
+            if self._made is None:
+                self._made = self._make()
+            return self._made
+
+
+class _Expected(NamedTuple):
     """One trial's record.
 
     Attributes:
-        features: (f,) of the success curve; NaN where nothing was modelled yet.
+        features: (f,) of the success curve.
         success: What it came to.
         residual: Mean squared standardised residual of its outcome; NaN where none was predicted and observed.
         off: (q,) standardised residuals of the entries; NaN likewise.
@@ -65,50 +107,30 @@ def features(seen: Prospect) -> Array:
 class PrequentialRecord:
     """The newest trials' expectations.
 
-    Attributes:
-        curve: Tells P(success); None: not known yet.
-        spread: (q,) by which predicted standard deviations are multiplied to be calibrated.
-
     Args:
         settings: The task's `exploration`.
         scales: Its units.
+        count: Trials that came before, and are not looked at any more.
+
+    Attributes:
+        calibration: What they say so far.
     """
 
-    def __init__(self, settings: Exploration, scales: OutcomeScales) -> None:
-        self._settings, self._scales = settings, scales
-        self.clear()
-
-    def clear(self) -> None:
-        """Forgets all."""
-        self._record: deque[Expected] = deque(maxlen=_KEPT)
-        self._count = 0
+    def __init__(self, settings: Exploration, scales: OutcomeScales, count: int = 0) -> None:
+        self._settings, self._scales, self._count = settings, scales, count
+        self._record: deque[_Expected] = deque(maxlen=_KEPT)
         self._cusum = 0.0
-        self.curve: SuccessCurve | None = None
-        self.spread = np.ones(len(self._scales.target))
+        self.calibration = Calibration()
 
-    def add(self, before: ObservedTrials, after: ObservedTrials, success: bool) -> None:
-        """Notes a trial, the last one in `after`; `before` has those that it is predicted from."""
-        self._count += 1
-        groups = [
-            group for group in range(len(self._scales.groups)) if before.counts[group] >= self._settings.min_trials
-        ]
-        if groups:
-            d = after.X.shape[1] - len(self._scales.scales)
-            z, goal = after.X[-1:, :d], after.X[-1:, d:] / GOAL_SHARE
-            model = OutcomeModel.near(before, self._scales, groups, z, goal, self._settings.neighbours)
-            seen = model.prospect(goal[:, None])
-            observed = after.Y[-1, model.entries]
-            off = np.full(after.Y.shape[1], np.nan)
-            off[model.entries] = (observed - seen.raw[0, 0]) / np.sqrt(seen.variance[0, 0])
-            residual = np.nan if after.refused[-1] else _residual(seen, observed)
-            self._record.append(Expected(features(seen)[0, 0], success, residual, off))
-            self._watch(residual)
-        if self._record and self._count % _EVERY == 0:
-            self._fit()
+    def extend(self, each: Iterable[tuple[ObservedTrials, ObservedTrials]]) -> None:
+        """Note trials: for each, those that it is predicted from, and the same with it as the last one."""
+        for before, after in each:
+            if not after.shown[-1]:
+                self._add(before, after)
 
     @property
     def drift_score(self) -> float:
-        """The CUSUM; at 12 the robot is taken to have changed."""
+        """The CUSUM; above 12 the robot is taken to have changed."""
         return self._cusum
 
     @property
@@ -116,11 +138,28 @@ class PrequentialRecord:
         """Whether the residuals say that the robot has changed."""
         return self._cusum > _ALARM
 
+    def _add(self, before: ObservedTrials, after: ObservedTrials) -> None:
+        self._count += 1
+        own = self._settings
+        groups = [group for group in range(len(self._scales.groups)) if before.counts[group] >= own.min_trials]
+        if groups:
+            d = after.X.shape[1] - len(self._scales.scales)
+            z, goal = after.X[-1:, :d], after.X[-1:, d:] / GOAL_SHARE
+            model = OutcomeModel.near(before, self._scales, groups, z, goal, own.neighbours)
+            seen, observed = model.prospect(goal[:, None]), after.Y[-1, model.entries]
+            off = np.full(after.Y.shape[1], np.nan)
+            off[model.entries] = (observed - seen.raw[0, 0]) / np.sqrt(seen.variance[0, 0])
+            residual = np.nan if after.refused[-1] else _residual(seen, observed)
+            self._record.append(_Expected(features(seen)[0, 0], bool(after.success[-1]), residual, off))
+            self._watch(residual)
+        if self._record and self._count % _EVERY == 0:
+            self._fit()
+
     def _fit(self) -> None:
-        newest = list(self._record)[-_CURVE:]
-        seen = np.array([one.features for one in newest])
-        self.curve = SuccessCurve.fit(seen, np.array([one.success for one in newest]), _PRIOR, _SPREAD)
-        self.spread = _spread(np.array([one.off for one in newest]))
+        newest = list(self._record)[-_FITTED:]
+        seen, success = np.array([one.features for one in newest]), np.array([one.success for one in newest])
+        curve = SuccessCurve.fit(seen, success, _PRIOR, _SPREAD)
+        self.calibration = Calibration(curve, _spread(np.array([one.off for one in newest])))
 
     def _watch(self, residual: float) -> None:
         if np.isnan(residual):
@@ -140,6 +179,7 @@ def _spread(off: Array) -> Array:
         known = np.abs(values[~np.isnan(values)])
         if len(known) >= _FEWEST:
             spread[entry] = np.clip(np.quantile(known, 0.9, method="higher") / _NORMAL_90, *_SPREADS)
+    spread.setflags(write=False)
     return spread
 
 

@@ -203,9 +203,10 @@ class SampleStore:
         """Rows of the demonstrations that are not removed."""
         return np.flatnonzero((self._kinds.rows == _DEMONSTRATION) & ~self._removed.rows)
 
-    def succeeded(self, row: int) -> bool:
-        """Whether this row's trial did what was wanted."""
-        return bool(self._success.rows[row])
+    def demonstrated(self, rows: Indices) -> NDArray[np.bool_]:
+        """Which of these rows are demonstrations."""
+        demonstrated: NDArray[np.bool_] = self._kinds.rows[rows] == _DEMONSTRATION
+        return demonstrated
 
     def is_demonstration(self, row: int) -> bool:
         """Whether this row is one."""

@@ -92,7 +92,7 @@ class Exploration:
             integer(entry.get("min_trials", 6), "exploration.min_trials", low=1, high=MOST_TRIALS),
             number(entry.get("gate", 1.0), "exploration.gate", low=0.0),
             choice(entry.get("model", "gp"), "exploration.model", ("gp",)),
-            integer(entry.get("candidates", 32), "exploration.candidates", low=1, high=1000),
+            integer(entry.get("candidates", 32), "exploration.candidates", low=0, high=1000),
             flag(entry.get("drift", True), "exploration.drift"),
         )
 

@@ -41,6 +41,9 @@ _STILL: Final = 0.02  # scales; an update that moves the goal by less is the las
 _REFIT: Final = 0.3  # scales from where the model was fitted, beyond which it is fitted anew
 _SAFE: Final = np.log(0.9)  # P(executed) above which a mean that should hit is not looked at further
 _UNKNOWN: Final = Calibration()
+_LOOSE: Final = (
+    2.0  # scales that a goal may be moved at least once the robot has changed: successes before say too much
+)
 _WIDTHS: Final = (0.1, 0.3, 1.0)  # of the candidates, in standard deviations of P'
 
 
@@ -56,6 +59,7 @@ class OutcomeExplorer:
         trials: What was tried so far.
         groups: Those groups of outcomes that were observed in `min_trials` trials or more; others are not modelled.
         calibration: How far its model may be believed.
+        changed: The robot has changed since the task began.
     """
 
     plain: GaussianExplorer
@@ -64,6 +68,7 @@ class OutcomeExplorer:
     trials: ObservedTrials
     groups: tuple[int, ...]
     calibration: Calibration | DeferredCalibration = _UNKNOWN
+    changed: bool = False
 
     @classmethod
     def of(cls, spec: TaskSpec, scales: OutcomeScales, trials: ObservedTrials) -> OutcomeExplorer:
@@ -71,12 +76,16 @@ class OutcomeExplorer:
         return cls(GaussianExplorer.of(spec), spec.exploration, scales, trials, ()).with_trials(trials)
 
     def with_trials(
-        self, trials: ObservedTrials, calibration: Calibration | DeferredCalibration = _UNKNOWN
+        self,
+        trials: ObservedTrials,
+        calibration: Calibration | DeferredCalibration = _UNKNOWN,
+        *,
+        changed: bool = False,
     ) -> OutcomeExplorer:
         """The same with other trials to look up, and what they say of the model."""
         groups = range(len(self.scales.groups))
         enough = tuple(group for group in groups if trials.counts[group] >= self.settings.min_trials)
-        return replace(self, trials=trials, groups=enough, calibration=calibration)
+        return replace(self, trials=trials, groups=enough, calibration=calibration, changed=changed)
 
     @property
     def guides(self) -> bool:
@@ -150,7 +159,10 @@ class OutcomeExplorer:
     def _prior(self, states: Array, means: Array, sigmas: Array) -> tuple[Array, Array, Array]:
         """States in the metric, scaled means, and how far these may be moved."""
         own = self.scales
-        spread = np.minimum(self.settings.trust * (sigmas / own.scales), own.high - own.low)
+        spread = self.settings.trust * (sigmas / own.scales)
+        if self.changed:
+            spread = np.maximum(spread, _LOOSE)
+        spread = np.minimum(spread, own.high - own.low)
         return own.metric.standardise(states), own.scaled(means), spread
 
     def _model(self, z: Array, goals: Array) -> OutcomeModel:

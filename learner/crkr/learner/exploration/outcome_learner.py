@@ -80,7 +80,7 @@ class OutcomeLearner:
         self._index.extend(rows)
         self._record.extend([*self._behind, *self._steps(new)])
         self._behind = []
-        self.explorer = self.explorer.with_trials(self._index.snapshot(), self._record.calibration)
+        self._renew(self._record.calibration)
 
     def remove(self, rows: Sequence[int]) -> None:
         """Rows were removed from learning; start again without them."""
@@ -103,7 +103,7 @@ class OutcomeLearner:
             record.extend(behind)
             return record.calibration
 
-        self.explorer = self.explorer.with_trials(self._index.snapshot(), DeferredCalibration(calibration))
+        self._renew(DeferredCalibration(calibration))
 
     def restart(self, seq: int, *, rebuild: bool) -> None:
         """Forget all but the newest trials: the robot has changed.
@@ -117,6 +117,10 @@ class OutcomeLearner:
         self._restarts, self._last_restart = self._restarts + 1, seq
         if rebuild:
             self.rebuild()
+
+    def _renew(self, calibration: Calibration | DeferredCalibration) -> None:
+        changed = self._restarts > 0
+        self.explorer = self.explorer.with_trials(self._index.snapshot(), calibration, changed=changed)
 
     def _steps(self, count: int) -> list[tuple[ObservedTrials, ObservedTrials]]:
         """What was at hand before and after each of the newest trials."""

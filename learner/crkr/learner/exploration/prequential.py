@@ -37,6 +37,7 @@ _SPREADS: Final = (0.1, 10.0)
 _RESIDUAL_NOISE: Final = 0.05
 _LARGEST: Final = 9.0
 _NEWEST: Final = 20  # not part of what is usual
+_SETTLED: Final = 10  # of what is usual, before which nothing is watched
 _ALLOWANCE: Final = 1.5
 _LEAST_USUAL: Final = 0.5
 _ALARM: Final = 12.0
@@ -165,7 +166,9 @@ class PrequentialRecord:
         if np.isnan(residual):
             return
         earlier = [one.residual for one in list(self._record)[:-_NEWEST] if not np.isnan(one.residual)]
-        usual = max(float(np.mean(earlier)), _LEAST_USUAL) if earlier else 1.0
+        if len(earlier) < _SETTLED:  # what a new model does not foresee is no change of the robot
+            return
+        usual = max(float(np.mean(earlier)), _LEAST_USUAL)
         self._cusum = max(0.0, self._cusum + residual - usual - _ALLOWANCE)
 
 

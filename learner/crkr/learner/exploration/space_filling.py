@@ -1,8 +1,8 @@
 """Goals that fill the space between the bounds, for a task of which nothing is known yet.
 
-A scrambled Sobol sequence [Joe2008] is cut into groups of `_GROUP` points. Each trial takes a point of the group that
-belongs to the number of trials before it, and its id says which: workers that ask at the same moment seldom try the
-same goal, and a repeated question gets the same answer.
+They follow a scrambled Halton sequence [Owen2017], a point for each trial that came before, moved by a share of the
+distance between points that the trial's id decides: workers that ask at the same moment try different goals, and a
+repeated question gets the same answer.
 """
 
 from __future__ import annotations
@@ -19,8 +19,7 @@ from crkr.protocol import Array
 
 __all__ = ["space_filling"]
 
-_GROUP: Final = 16
-_GROUPS: Final = 2**16  # after which the sequence starts again
+_MOST: Final = 1024  # trials after which the sequence starts again: going on from far takes time
 
 
 def space_filling(seed: int, ids: Sequence[UUID], tried: int, low: Array, high: Array) -> Array:
@@ -33,11 +32,9 @@ def space_filling(seed: int, ids: Sequence[UUID], tried: int, low: Array, high: 
         low: (p,) lowest goals allowed.
         high: (p,) highest goals allowed.
     """
-    sequence = qmc.Sobol(len(low), scramble=True, seed=np.random.default_rng(seed % 2**64))
-    first = _GROUP * (tried % _GROUPS)
-    if first:
-        sequence.fast_forward(first)
-    points = sequence.random(_GROUP * len(ids)).reshape(len(ids), _GROUP, len(low))
-    chosen = (uniforms(seed, ids, 1)[:, 0] * _GROUP).astype(int)
-    points = points[np.arange(len(ids)), chosen]
-    return np.asarray(np.clip(low + points * (high / 2 - low / 2) * 2, low, high))
+    b, p, first = len(ids), len(low), tried % _MOST
+    sequence = qmc.Halton(p, scramble=True, rng=np.random.default_rng(seed % 2**64))
+    points = sequence.fast_forward(first).random(b)
+    apart = (first + 1 + np.arange(b)) ** (-1.0 / p)
+    points = (points + apart[:, None] * (uniforms(seed, ids, p) - 0.5)) % 1.0
+    return np.asarray(np.clip(low * (1.0 - points) + high * points, low, high))

@@ -9,7 +9,7 @@ REPOSITORY = Path(__file__).parents[2]
 DOCUMENTS = sorted(
     [*REPOSITORY.glob("*.md"), *(REPOSITORY / "docs").rglob("*.md"), *(REPOSITORY / "examples").rglob("*.md")]
 )
-LINK = re.compile(r"\]\((?!https?://|#)([^)#\s]+)")
+LINK = re.compile(r"\]\((?!https?://|#)([^)\s]+)")
 TARGET = re.compile(r"\bmake ([a-z][a-z-]*)")
 CODE = re.compile(r"`([^`\n]+)`")
 MODULE = re.compile(r"(?P<path>[\w./-]+\.py)(?:::(?P<name>\w+))?")
@@ -21,7 +21,18 @@ FENCED = re.compile(r"^```.*?^```|`[^`\n]+`", re.MULTILINE | re.DOTALL)
 
 
 def broken_links(text: str, folder: Path) -> list[str]:
-    return [target for target in LINK.findall(text) if not (folder / target).exists()]
+    return [target for target in LINK.findall(text) if not _exists(folder, *target.partition("#")[::2])]
+
+
+def _exists(folder: Path, name: str, heading: str) -> bool:
+    path = folder / name
+    return path.exists() and (not heading or heading in headings(path.read_text()))
+
+
+def headings(text: str) -> set[str]:
+    """Names by which headings can be linked to: in lower case, without punctuation, with a dash for each space."""
+    lines = re.findall(r"^#+ (.*)$", text, re.MULTILINE)
+    return {re.sub(r"[^\w -]", "", line.lower()).replace(" ", "-") for line in lines}
 
 
 def unknown_targets(text: str, makefile: str) -> set[str]:
@@ -92,6 +103,7 @@ def test_every_target_that_a_document_names_is_in_the_makefile(document: Path) -
 
 
 def test_a_broken_link_and_an_unknown_target_are_found(tmp_path: Path) -> None:
-    (tmp_path / "a.md").touch()
-    assert broken_links("[a](a.md) [b](b.md) [c](https://example.org/c) [d](a.md#part)", tmp_path) == ["b.md"]
+    (tmp_path / "a.md").write_text("## The robot's part\n")
+    text = "[a](a.md) [b](b.md) [c](https://example.org/c) [d](a.md#the-robots-part) [e](a.md#whole)"
+    assert broken_links(text, tmp_path) == ["b.md", "a.md#whole"]
     assert unknown_targets("to make sense, run `make test` or `make tea`", "test: lint\n") == {"tea"}

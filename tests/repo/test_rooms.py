@@ -33,13 +33,15 @@ SHORT_MOST = 64
 NOUNS = {
     "incoming": "the ball before the hit",
     "learning": "the field's word",
+    "nothing": "no verb",
     "recording": "a file of Rerun, a robot's motion",
     "rounding": "what floating point does",
+    "swing": "no verb here: an arm's stroke",
     "timing": "measured durations",
     "tracking": "the field's word for following a trajectory",
 }
 """Words in -ing that name a thing."""
-PICTURES = {"crate", "crew", "desk", "duty", "guest", "lane", "reserve", "relay", "seat", "tether", "turns", "vitals"}
+PICTURES = {"crew", "desk", "duty", "guest", "reserve", "relay", "seat", "tether", "turns", "vitals"}
 """Words that say what something resembles, not what it is."""
 NAMES_LEFT = {
     *("server/metrics/vitals", "sim_worker/lacking", "sim_worker/reaching"),
@@ -47,6 +49,8 @@ NAMES_LEFT = {
     *("faults/test_going_on", "learning/test_turns", "log/test_closing", "server/test_stopping"),
     "supervisor/test_hanging",
 }
+CLASSES_MOST = 14
+"""Classes of the sources that are named so."""
 
 
 def modules() -> list[Path]:
@@ -66,8 +70,21 @@ def overfull(paths: list[Path]) -> dict[str, int]:
 
 def badly_named(path: Path) -> bool:
     """Whether a module, or its folder, is called by a verb's -ing form or by a picture."""
-    words = {word for part in (path.parent.name, path.stem) for word in part.split("_")}
-    return bool(words & PICTURES) or any(re.fullmatch(r"\w+ing", word) and word not in NOUNS for word in words)
+    return any(is_no_noun(word) for part in (path.parent.name, path.stem) for word in part.split("_"))
+
+
+def is_no_noun(word: str) -> bool:
+    return word in PICTURES or (word.endswith("ing") and word not in NOUNS)
+
+
+def badly_named_classes(source: str) -> list[str]:
+    """Classes whose names have a picture anywhere, or a verb's -ing form at the end."""
+    names = {name: re.findall("[A-Z]?[a-z0-9]+", name) for name in re.findall(r"^ *class (\w+)", source, re.MULTILINE)}
+    return [
+        name
+        for name, (*first, last) in names.items()
+        if is_no_noun(last.lower()) or PICTURES & {word.lower() for word in first}
+    ]
 
 
 def short_modules() -> dict[str, int]:
@@ -89,6 +106,12 @@ def test_modules_and_folders_are_named_by_nouns_of_the_field() -> None:
     assert [name for name in bad if not name.endswith(tuple(NAMES_LEFT))] == []
 
 
+def test_classes_are_named_by_nouns_of_the_field() -> None:
+    sources = [path for path in modules() if path.parts[0] != "tests"]
+    bad = [f"{path}: {name}" for path in sources for name in badly_named_classes((REPOSITORY / path).read_text())]
+    assert len(bad) <= CLASSES_MOST, "\n".join(bad)
+
+
 def test_a_module_under_sixty_lines_has_a_reason() -> None:
     left = {name: length for name, length in short_modules().items() if name not in SHORT_FOR_A_REASON}
     listed = "\n".join(f"{length:3} {name}" for name, length in left.items())
@@ -108,6 +131,13 @@ def test_a_gerund_and_a_picture_are_found(name: str) -> None:
 @pytest.mark.parametrize("name", ["server/learning/thread.py", "a/string.py", "a/settings.py", "a/test_desktop.py"])
 def test_nouns_pass(name: str) -> None:
     assert badly_named(Path(name)) == (name == "a/string.py"), "a new word in -ing is to be listed"
+
+
+def test_a_class_is_found_by_any_word_of_its_name() -> None:
+    assert badly_named_classes("class JudgeSeat:\n    class _Fitting(Base): ...\nclass Deskew: ...\n") == [
+        "JudgeSeat",
+        "_Fitting",
+    ]
 
 
 def test_a_folder_of_sixteen_is_found() -> None:

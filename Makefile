@@ -1,4 +1,4 @@
-# Everything a fresh clone needs. Python >= 3.11 and a package registry are enough; .venv is made on first use.
+# Needs Python >= 3.11 and a package registry; .venv is made on first use.
 #   PYTHON=python3.12   another interpreter        ARGS="..."   options for crkr demo or pytest
 .DEFAULT_GOAL := help
 .PHONY: help setup demo test lint format lock campaign compose-test clean
@@ -12,31 +12,31 @@ export PYTHON
 help: ## show this list
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 22
 
-setup: ## make .venv from the lock (quick when it is complete)
+setup: ## make .venv from the lock; quick when it is complete
 	@scripts/setup
 
-demo: setup ## learn table tennis here, from nothing; ARGS="--trials 200 --json"
+demo: setup ## learn table tennis from nothing, on this machine; ARGS="--trials 200 --json"
 	@$(BIN)/crkr demo $(ARGS)
 
-test: lint ## ruff, mypy and pytest; ARGS="-k name"
+test: lint ## run ruff, mypy and pytest; ARGS="-k name"
 	@$(BIN)/pytest $(ARGS)
 
-lint: setup ## ruff and mypy only
+lint: setup ## run ruff and mypy only
 	@$(BIN)/ruff check .
-	@$(BIN)/ruff format --check . || { echo "make format puts this right" >&2; exit 1; }
+	@$(BIN)/ruff format --check . || { echo "run make format to fix this" >&2; exit 1; }
 	@$(BIN)/mypy $(TYPED)
 
-format: setup ## rewrite the sources in the house format
+format: setup ## fix and format the sources by ruff
 	@$(BIN)/ruff check --fix-only --quiet .
 	@$(BIN)/ruff format .
 
 lock: setup ## regenerate requirements/*.lock; UPGRADE=1 takes the newest versions
 	@UPGRADE=$(UPGRADE) scripts/lock
 
-campaign: setup ## the long trials of endurance
+campaign: setup ## run the long tests, before a release
 	@$(BIN)/pytest -m campaign --timeout=3600 $(ARGS)
 
-compose-test: setup ## two workers learn through a server, each in its own container
+compose-test: setup ## run a server and two workers in containers
 	@$(BIN)/python tests/system/compose_check.py $(if $(COMPOSE),--compose "$(COMPOSE)")
 
 clean: ## remove .venv, caches and build output; never data

@@ -48,6 +48,8 @@ IMPURE = frozenset({"asyncio", "concurrent", "io", "multiprocessing", "os", "pat
 UNSAFE = frozenset({"marshal", "pickle", "shelve"})
 # Bindings without type information are wrapped, each in one module.
 WRAPPED = ("clarabel", "coal", "pyarrow")
+# Modules that import each other, for types only; the list may only get shorter.
+CYCLES_LEFT = [["crkr.client.mirror", "crkr.client.task"]]
 
 
 def imported_modules(source: str, package: str) -> Iterator[tuple[int, str]]:
@@ -64,10 +66,14 @@ def imported_modules(source: str, package: str) -> Iterator[tuple[int, str]]:
 
 
 def _from_targets(node: ast.ImportFrom, package: str) -> list[str]:
-    base = package.split(".")[: len(package.split(".")) - node.level + 1] if node.level else []
-    stem = ".".join([*base, *([node.module] if node.module else [])])
+    stem = _from_stem(node, package)
     # `from crkr import server` names the part in the list, not in the stem.
     return [f"{stem}.{alias.name}" for alias in node.names] if stem == "crkr" else [stem]
+
+
+def _from_stem(node: ast.ImportFrom, package: str) -> str:
+    base = package.split(".")[: len(package.split(".")) - node.level + 1] if node.level else []
+    return ".".join([*base, *([node.module] if node.module else [])])
 
 
 def _is_dynamic_import(function: ast.expr) -> bool:
@@ -99,12 +105,73 @@ def sources(root: str) -> list[Path]:
     return sorted((REPOSITORY / root).rglob("*.py"))
 
 
+def module_name(path: str) -> str:
+    """Dotted name of a file under a root; `path` is relative to the repository."""
+    parts = path.removesuffix(".py").split("/")[1:]
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def import_graph(files: dict[str, str]) -> dict[str, set[str]]:
+    """Which module imports which, imports within functions and for types included. Args: files: path to source."""
+    names = {module_name(path) for path in files}
+    graph = {}
+    for path, source in files.items():
+        name = module_name(path)
+        package = name if path.endswith("__init__.py") else name.rpartition(".")[0]
+        graph[name] = set(_modules_imported(source, package, names)) - {name}
+    return graph
+
+
+def _modules_imported(source: str, package: str, names: set[str]) -> Iterator[str]:
+    """Those of `names` that a module imports; `from . import store` is the module `store`, where there is one."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names if alias.name in names)
+        elif isinstance(node, ast.ImportFrom):
+            stem = _from_stem(node, package)
+            targets = (f"{stem}.{alias.name}" for alias in node.names)
+            yield from (target if target in names else stem for target in targets if {target, stem} & names)
+
+
+def cycles(graph: dict[str, set[str]]) -> list[list[str]]:
+    """Groups of modules that reach each other by imports, each group in order."""
+    reached = {name: _reachable(graph, name) for name in graph}
+    groups = {frozenset({name, *(other for other in reached[name] if name in reached[other])}) for name in graph}
+    return sorted(sorted(group) for group in groups if len(group) > 1)
+
+
+def _reachable(graph: dict[str, set[str]], start: str) -> set[str]:
+    found: set[str] = set()
+    waiting = [start]
+    while waiting:
+        new = graph[waiting.pop()] - found
+        found |= new
+        waiting += new
+    return found
+
+
 @pytest.mark.parametrize("root", LAYERS)
 def test_no_module_crosses_its_layer(root: str) -> None:
     found = [
         line for path in sources(root) for line in violations(path.read_text(), path.relative_to(REPOSITORY).as_posix())
     ]
     assert not found, "\n".join(found)
+
+
+def test_modules_do_not_import_each_other_in_circles() -> None:
+    files = {path.relative_to(REPOSITORY).as_posix(): path.read_text() for root in LAYERS for path in sources(root)}
+    assert [group for group in cycles(import_graph(files)) if group not in CYCLES_LEFT] == []
+
+
+def test_a_circle_of_imports_is_found() -> None:
+    files = {
+        "client/crkr/client/a.py": "from .b import B",
+        "client/crkr/client/b.py": "if TYPE_CHECKING:\n    from crkr.client import c",
+        "client/crkr/client/c.py": "def f() -> None:\n    import crkr.client.a",
+        "client/crkr/client/d.py": "from .a import A",
+        "client/crkr/client/__init__.py": "from .d import D",
+    }
+    assert cycles(import_graph(files)) == [["crkr.client.a", "crkr.client.b", "crkr.client.c"]]
 
 
 @pytest.mark.parametrize("package", WRAPPED)

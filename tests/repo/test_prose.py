@@ -1,0 +1,66 @@
+"""Sentences begin with their subject."""
+
+import io
+import re
+import tokenize
+from pathlib import Path
+
+import pytest
+
+REPOSITORY = Path(__file__).parents[2]
+WHO = re.compile(r"\bWho(?:ever)?\b(?!\?)")
+WORN = re.compile(r"\b(?:as it were|takes? note of|has it done|none of (?:its|their) business)\b")
+PAGES = ["*.md", "docs/*.md", "examples/**/*", "Makefile", "scripts/*", "pyproject.toml", "compose.yaml", "Dockerfile"]
+SOURCES_MOST = 36
+"""Places in docstrings, comments and help texts that begin so; it may only fall."""
+
+
+def prose(source: str) -> list[tuple[int, str]]:
+    """Lines of a module's comments and strings, with their numbers."""
+    words = {tokenize.COMMENT, tokenize.STRING, getattr(tokenize, "FSTRING_MIDDLE", tokenize.STRING)}
+    return [
+        (token.start[0] + number, line)
+        for token in tokenize.generate_tokens(io.StringIO(source).readline)
+        if token.type in words
+        for number, line in enumerate(token.string.splitlines())
+    ]
+
+
+def complaints(pattern: re.Pattern[str], name: str, text: str) -> list[str]:
+    lines = prose(text) if name.endswith(".py") else list(enumerate(text.splitlines(), 1))
+    return [f"{name}:{number}: {line.strip()}" for number, line in lines if pattern.search(line)]
+
+
+def pages() -> list[Path]:
+    found = {path for glob in PAGES for path in REPOSITORY.glob(glob) if path.is_file()}
+    return sorted(path for path in found if "__pycache__" not in path.parts)
+
+
+def modules() -> list[Path]:
+    return sorted(
+        path
+        for folder in ("protocol", "learner", "client", "server", "sim_worker", "dashboard", "experiments", "tests")
+        for path in (REPOSITORY / folder).rglob("*.py")
+        if path != Path(__file__)
+    )
+
+
+@pytest.mark.parametrize("pattern", [WHO, WORN], ids=["who", "worn"])
+@pytest.mark.parametrize("page", pages(), ids=lambda path: path.name)
+def test_no_sentence_of_a_page_begins_with_who(page: Path, pattern: re.Pattern[str]) -> None:
+    assert complaints(pattern, page.name, page.read_text()) == []
+
+
+def test_no_docstring_comment_or_text_of_a_module_begins_with_who() -> None:
+    found = [
+        line
+        for path in modules()
+        for line in complaints(WHO, path.relative_to(REPOSITORY).as_posix(), path.read_text())
+    ]
+    assert len(found) <= SOURCES_MOST, "\n".join(found)
+
+
+def test_the_search_finds_the_bad_and_lets_the_good_pass() -> None:
+    source = '"""Who asks waits."""\nWhoever = 1\nx = 1  # Whoever comes\ny = f"{x} Who asks"\nz = "who asks"\n'
+    assert [line.split(":")[1] for line in complaints(WHO, "a.py", source)] == ["1", "3", "4"]
+    assert complaints(WHO, "a.md", "A client that asks waits.\nWho?\n") == []

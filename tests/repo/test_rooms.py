@@ -1,0 +1,144 @@
+"""Folders and modules that a newcomer finds: nouns of the field, few to a folder, one whole idea in each.
+
+The constants that end in LEFT and MOST say what is not mended yet. They may only fall.
+"""
+
+import re
+import sys
+import tomllib
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+REPOSITORY = Path(__file__).parents[2]
+ROOTS: list[str] = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["tool"]["hatch"]["build"]["dev-mode-dirs"]
+
+FULL = 15
+"""Modules that a folder may hold."""
+OVERFULL_LEFT = {"tests/server/faults": 16}
+
+SHORT = 60
+"""Lines below which a module is probably part of another."""
+SHORT_FOR_A_REASON = {
+    "learner/crkr/learner/cost.py": "one equation of the paper, used by three parts of the learner",
+    "protocol/crkr/protocol/ids.py": "one value, used by every message",
+    "sim_worker/crkr/sim_worker/commands/oracle.py": "a command, found by its entry point, imports nothing heavy",
+    "sim_worker/crkr/sim_worker/commands/plot_policy.py": "a command, found by its entry point, imports nothing heavy",
+}
+SHORT_MOST = 65
+"""Modules below that length without a reason."""
+
+NOUNS = {
+    "incoming": "the ball before the hit",
+    "learning": "the field's word",
+    "nothing": "no verb",
+    "recording": "a file of Rerun, a robot's motion",
+    "rounding": "what floating point does",
+    "swing": "no verb here: an arm's stroke",
+    "timing": "measured durations",
+    "tracking": "the field's word for following a trajectory",
+}
+"""Words in -ing that name a thing."""
+PICTURES = {"crew", "desk", "duty", "guest", "reserve", "relay", "seat", "tether", "turns", "vitals"}
+"""Words that say what something resembles, not what it is."""
+NAMES_LEFT = {
+    *("server/metrics/vitals", "sim_worker/lacking", "sim_worker/reaching"),
+    *("shared/jumping", "shared/lobbing", "shared/putting"),
+    *("faults/test_going_on", "learning/test_turns", "log/test_closing", "server/test_stopping"),
+    "supervisor/test_hanging",
+}
+CLASSES_MOST = 14
+"""Classes of the sources that are named so."""
+
+
+def modules() -> list[Path]:
+    """Every module of sources and tests, relative to the repository."""
+    return sorted(
+        path.relative_to(REPOSITORY)
+        for root in [*ROOTS, "tests"]
+        for path in (REPOSITORY / root).rglob("*.py")
+        if "__pycache__" not in path.parts
+    )
+
+
+def overfull(paths: list[Path]) -> dict[str, int]:
+    counts = Counter(path.parent.as_posix() for path in paths if path.name != "__init__.py")
+    return {folder: count for folder, count in counts.items() if count > FULL}
+
+
+def badly_named(path: Path) -> bool:
+    """Whether a module, or its folder, is called by a verb's -ing form or by a picture."""
+    return any(is_no_noun(word) for part in (path.parent.name, path.stem) for word in part.split("_"))
+
+
+def is_no_noun(word: str) -> bool:
+    return word in PICTURES or (word.endswith("ing") and word not in NOUNS)
+
+
+def badly_named_classes(source: str) -> list[str]:
+    """Classes whose names have a picture anywhere, or a verb's -ing form at the end."""
+    names = {name: re.findall("[A-Z]?[a-z0-9]+", name) for name in re.findall(r"^ *class (\w+)", source, re.MULTILINE)}
+    return [
+        name
+        for name, (*first, last) in names.items()
+        if is_no_noun(last.lower()) or PICTURES & {word.lower() for word in first}
+    ]
+
+
+def short_modules() -> dict[str, int]:
+    lengths = {path.as_posix(): len((REPOSITORY / path).read_text().splitlines()) for path in modules()}
+    return {
+        name: length
+        for name, length in lengths.items()
+        if length < SHORT and not name.startswith("tests/") and not name.endswith("__.py")
+    }
+
+
+def test_no_folder_holds_more_modules_than_a_reader_can_scan() -> None:
+    assert len(modules()) > 300
+    assert {folder: n for folder, n in overfull(modules()).items() if n > OVERFULL_LEFT.get(folder, FULL)} == {}
+
+
+def test_modules_and_folders_are_named_by_nouns_of_the_field() -> None:
+    bad = [path.with_suffix("").as_posix() for path in modules() if badly_named(path)]
+    assert [name for name in bad if not name.endswith(tuple(NAMES_LEFT))] == []
+
+
+def test_classes_are_named_by_nouns_of_the_field() -> None:
+    sources = [path for path in modules() if path.parts[0] != "tests"]
+    bad = [f"{path}: {name}" for path in sources for name in badly_named_classes((REPOSITORY / path).read_text())]
+    assert len(bad) <= CLASSES_MOST, "\n".join(bad)
+
+
+def test_a_module_under_sixty_lines_has_a_reason() -> None:
+    left = {name: length for name, length in short_modules().items() if name not in SHORT_FOR_A_REASON}
+    listed = "\n".join(f"{length:3} {name}" for name, length in left.items())
+    sys.stdout.write(listed)  # pytest -rP -k sixty shows it
+    assert len(left) <= SHORT_MOST, listed
+
+
+def test_every_reason_is_for_a_module_that_is_short() -> None:
+    assert set(SHORT_FOR_A_REASON) - set(short_modules()) == set()
+
+
+@pytest.mark.parametrize("name", ["server/filling.py", "server/test_stopping.py", "a/desk_plan.py", "refusing/a.py"])
+def test_a_gerund_and_a_picture_are_found(name: str) -> None:
+    assert badly_named(Path(name))
+
+
+@pytest.mark.parametrize("name", ["server/learning/thread.py", "a/string.py", "a/settings.py", "a/test_desktop.py"])
+def test_nouns_pass(name: str) -> None:
+    assert badly_named(Path(name)) == (name == "a/string.py"), "a new word in -ing is to be listed"
+
+
+def test_a_class_is_found_by_any_word_of_its_name() -> None:
+    assert badly_named_classes("class JudgeSeat:\n    class _Fitting(Base): ...\nclass Deskew: ...\n") == [
+        "JudgeSeat",
+        "_Fitting",
+    ]
+
+
+def test_a_folder_of_sixteen_is_found() -> None:
+    assert overfull([Path(f"a/m{number}.py") for number in range(16)]) == {"a": 16}
+    assert overfull([Path(f"a/m{number}.py") for number in range(15)] + [Path("a/__init__.py")]) == {}

@@ -7,7 +7,6 @@ only, so that it does not matter how trials were grouped on their way here.
 
 from __future__ import annotations
 
-import threading
 from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -65,20 +64,22 @@ class Calibration:
 class DeferredCalibration:
     """A calibration that is worked out when it is first asked for, as after a restart.
 
+    Threads that ask at the same moment may all work it out, each to the same numbers.
+
     Args:
         make: Works it out, from data that never change.
     """
 
     def __init__(self, make: Callable[[], Calibration]) -> None:
-        self._make, self._lock = make, threading.Lock()
+        self._make = make
         self._made: Calibration | None = None
 
     def get(self) -> Calibration:
-        """The calibration; any thread may ask."""
-        with self._lock:
-            if self._made is None:
-                self._made = self._make()
-            return self._made
+        """The calibration."""
+        made = self._made
+        if made is None:
+            made = self._made = self._make()
+        return made
 
 
 class _Expected(NamedTuple):

@@ -123,7 +123,7 @@ class Model:
         regression, own = self.regression, self.parameters
         z = own.kernel.standardise(states)
         if regression is None:
-            mean, sigmas, novelty = self._prior(z, explore)
+            means, sigmas, novelty = self._prior(states, explore)
         elif z.ndim == 1:
             mean, variance, prior = regression.at(z)
             sigmas = own.scales * (own.explore_scale * math.sqrt(variance + own.exploration_floor))
@@ -134,8 +134,9 @@ class Model:
             novelty = np.minimum(variances / priors, 1.0)
         if own.novelty_limit is not None:
             _refuse_novel(novelty, own.novelty_limit, own.task)
-        means = np.multiply(mean, own.scales, out=mean)
-        means += own.prior
+        if regression is not None:
+            means = np.multiply(mean, own.scales, out=mean)
+            means += own.prior
         if explore and (self.tried < own.start.count or not (self.explorer.guides or regression)):
             goals = space_filling(own.seed, ids, self.tried, own.low, own.high).reshape(means.shape)
             corrected = outcome = deviation = chance = None
@@ -156,18 +157,18 @@ class Model:
             corrected=corrected, success_probability=chance,
         )  # fmt: skip
 
-    def _prior(self, z: Array, explore: bool) -> tuple[Array, Array, Array]:
-        """Scaled means, sigmas and novelties while no sample is active: outcomes alone guide, or space is filled.
+    def _prior(self, states: Array, explore: bool) -> tuple[Array, Array, Array]:
+        """Means, sigmas and novelties while no sample is active: outcomes alone guide, or space is filled.
 
         Raises:
             NoSamples: Nothing is known yet, and nothing is to be explored.
         """
-        own = self.parameters
-        if not self.explorer.guides and (own.start.type == "demonstrations" or not explore):
+        own, guides = self.parameters, self.explorer.guides
+        if not guides and (own.start.type == "demonstrations" or not explore):
             raise NoSamples(f"task {own.task!r} has no active sample; report a demonstration or a success first")
-        shape = (*z.shape[:-1], len(own.scales))
-        anywhere = np.maximum(own.scales, own.high / 4 - own.low / 4)
-        return np.zeros(shape), np.broadcast_to(anywhere, shape).copy(), np.ones(z.shape[:-1])
+        shape = (*states.shape[:-1], len(own.scales))
+        means = self.explorer.best_tried(states) if guides else np.broadcast_to(own.prior, shape).copy()
+        return means, np.broadcast_to(own.explore_scale * own.scales, shape).copy(), np.ones(states.shape[:-1])
 
     def to_wire(self) -> dict[str, Any]:
         """The model as data, as the `model` query returns it."""

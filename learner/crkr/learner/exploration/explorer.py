@@ -46,6 +46,10 @@ class Explorer(Protocol):
         """Whether it knows where to explore although nothing has succeeded yet."""
         ...
 
+    def best_tried(self, states: Array) -> Array:
+        """Goals (p,) or (b, p) to start from in these states while nothing has succeeded; asked only if it guides."""
+        ...
+
     @property
     def searched(self) -> int:
         """How many stored trials each state is compared with: what an answer costs beyond its regression grows so."""
@@ -90,6 +94,10 @@ class GaussianExplorer:
     def guides(self) -> bool:
         """It does not."""
         return False
+
+    def best_tried(self, states: Array) -> Array:
+        """The middle of the bounds."""
+        return np.broadcast_to(self.low / 2 + self.high / 2, (*states.shape[:-1], len(self.low))).copy()
 
     @property
     def searched(self) -> int:

@@ -28,8 +28,9 @@ from crkr.learner.exploration.explorer import Choice, GaussianExplorer
 from crkr.learner.exploration.outcome_index import ObservedTrials
 from crkr.learner.exploration.outcome_model import OutcomeModel, Prospect
 from crkr.learner.exploration.outcome_posterior import Posterior, condition_within
-from crkr.learner.exploration.outcome_scales import OutcomeScales
+from crkr.learner.exploration.outcome_scales import GOAL_SHARE, OutcomeScales
 from crkr.learner.exploration.prequential import Calibration, DeferredCalibration, features
+from crkr.learner.kernel import squared_distances
 from crkr.learner.selection.anms_batch import Indices
 from crkr.protocol import Array, Exploration, TaskSpec
 
@@ -40,6 +41,9 @@ _BLOCK: Final = 8  # states at a time, whose matrices fit the cache
 _STILL: Final = 0.02  # scales; an update that moves the goal by less is the last
 _REFIT: Final = 0.3  # scales from where the model was fitted, beyond which it is fitted anew
 _SAFE: Final = np.log(0.9)  # P(executed) above which a mean that should hit is not looked at further
+_UNSEEN: Final = 9.0  # squared tolerances that an entry is thought to be off where it was not observed
+_FAR: Final = 1e4  # and at most
+_STATE_SLOPE: Final = 100.0  # squared tolerances that an outcome changes with one step of the state
 _UNKNOWN: Final = Calibration()
 _LOOSE: Final = (
     2.0  # scales that a goal may be moved at least once the robot has changed: successes before say too much
@@ -96,6 +100,21 @@ class OutcomeExplorer:
     def searched(self) -> int:
         """The tried goals, once enough outcomes were observed."""
         return len(self.trials) if self.guides else 0
+
+    def best_tried(self, states: Array) -> Array:
+        """(p,) or (b, p) tried goals whose outcome should be nearest to the target in these states.
+
+        A trial counts by its squared outcome, by how far its state is, and against it by what was not observed.
+        """
+        trials, d = self.trials, self.trials.X.shape[1] - len(self.scales.scales)
+        entries = np.concatenate([self.scales.groups[group] for group in self.groups])
+        o = trials.Y[:, entries]
+        o = np.where(self.scales.one_sided[entries] * o > 0, 0.0, o)
+        off = np.where(np.isnan(o), _UNSEEN, np.minimum(o * o, _FAR)).sum(axis=1) + _FAR * trials.refused
+        z = self.scales.metric.standardise(np.atleast_2d(states))
+        away = squared_distances(z, trials.X[:, :d])
+        goals = trials.X[(off + _STATE_SLOPE * away).argmin(axis=1), d:] / GOAL_SHARE
+        return self._goals(goals).reshape(*states.shape[:-1], -1)
 
     def best(self, states: Array, means: Array, sigmas: Array) -> Choice:
         """The plain goals where they should do, otherwise the candidates of highest score.

@@ -100,9 +100,8 @@ def teach(policy: Policy, count: int, seed: int = 0, **fields: Any) -> list[UUID
 
 
 def test_nothing_is_predicted_from_nothing(policy: Policy) -> None:
-    for explore in (False, True):
-        with pytest.raises(NoSamples, match="no active sample"):
-            policy.predict([1.0, 0.0], explore)
+    with pytest.raises(NoSamples, match="no active sample"):
+        policy.predict([1.0, 0.0])
     with pytest.raises(NoSamples):
         policy.explain([1.0, 0.0])
 

@@ -25,9 +25,8 @@ def test_a_new_learner_is_at_version_one_and_has_nothing_to_say(make_spec: MakeS
     learner = Learner(make_spec())
     assert learner.version == 1
     assert learner.active_ids == []
-    for explore in (False, True):
-        with pytest.raises(NoSamples, match="report a demonstration"):
-            learner.predict([0.0, 0.0], explore=explore)
+    with pytest.raises(NoSamples, match="report a demonstration"):
+        learner.predict([0.0, 0.0])
     with pytest.raises(NoSamples):
         learner.explain([0.0, 0.0])
     with pytest.raises(NoSamples):

@@ -11,7 +11,8 @@ from uuid import UUID
 import numpy as np
 
 from crkr.learner.exploration.explorer import Explorer, GaussianExplorer
-from crkr.learner.exploration.outcome_model import OutcomeLearning
+from crkr.learner.exploration.outcome_learner import Drift, OutcomeLearner
+from crkr.learner.exploration.success import SuccessRate
 from crkr.learner.kernel import Kernel
 from crkr.learner.kernel_matrix import KernelMatrix
 from crkr.learner.model import Model
@@ -23,6 +24,7 @@ from crkr.learner.selection.eligible_rows import RadiiCache, Selection
 from crkr.learner.selection.selector import SelectorFactory
 from crkr.protocol import Array, Conflict, Invalid, TaskSpec, Trial, id_from_wire
 from crkr.protocol.checks import cost_number, finite_array, number
+from crkr.protocol.messages.sizes import MOST_RECENT
 
 __all__ = ["Knowledge", "check_fit"]
 
@@ -59,6 +61,7 @@ class Knowledge:
         model: The policy made of the active ones.
         eligible_count: How many trials may be learned from; kept, as counting them anew takes longer than a step.
         since_fit: Eligible trials since hyper-parameters were fitted.
+        tried: Trials reported, refused ones and misses too, demonstrations and judged ones aside.
     """
 
     def __init__(self, spec: TaskSpec, selector: SelectorFactory) -> None:
@@ -67,13 +70,13 @@ class Knowledge:
         guided = spec.exploration.type == "outcome"
         self.store = SampleStore(len(spec.state), len(spec.goal), len(spec.outcome) if guided else 0)
         self.selection = Selection(spec, self.store, selector)
-        self.eligible_count = self.since_fit = 0
+        self.eligible_count = self.since_fit = self.tried = 0
         self._kernel = Kernel(spec.centres, spec.lengthscales, spec.kernel.signal_variance, spec.kernel.linear_weight)
         self._deferred = False
         self._names: dict[int, UUID] = {}  # of the active rows
         self._rows = self.selection.active
-        self._parameters = Parameters.create(spec, self._kernel, np.zeros(len(spec.goal)))
-        self._guided = OutcomeLearning(spec, self.store) if guided else None
+        self._parameters = Parameters.create(spec, self._kernel, self._prior())
+        self._guided = OutcomeLearner(spec, self.store) if guided else None
         self._gaussian = GaussianExplorer.of(spec)
         self._matrix = KernelMatrix()
         self.model = self._fitted(None)
@@ -95,6 +98,7 @@ class Knowledge:
         self.version = seqs[-1]
         eligible = rows[self.store.eligible(rows, self.spec.learn_from)]
         self._count(len(eligible))
+        self.tried += self.store.count_tried(rows)
         if not self._deferred:
             self.selection.extend(eligible)
             if self._guided is not None:
@@ -120,6 +124,7 @@ class Knowledge:
             raise Conflict(f"trials to apply must be new; log position {int(self.store.seqs[known])} repeats an id")
         rows = np.arange(first, len(self.store))
         self._count(int(np.count_nonzero(self.store.eligible(rows, self.spec.learn_from))))
+        self.tried += self.store.count_tried(rows)
         self.version = int(columns.seqs[-1])
 
     def apply_recost(self, seq: int, ids: Sequence[UUID | bytes], costs: object) -> int:
@@ -196,6 +201,19 @@ class Knowledge:
         self.version, self.since_fit = seq, 0
         self._refresh(True)
 
+    def apply_restart(self, seq: int) -> None:
+        """Restarts the outcome model from the newest trials: the robot has changed. The active set stays."""
+        self._check_seqs([seq], 1)
+        self.version = seq
+        if self._guided is not None:
+            self._guided.restart(seq, rebuild=not self._deferred)
+        self._refresh(False)
+
+    @property
+    def drift(self) -> Drift | None:
+        """How far outcomes are from what was expected; None where no outcome is modelled."""
+        return None if self._guided is None else self._guided.drift
+
     @contextmanager
     def bulk(self, cache: RadiiCache | None) -> Iterator[None]:
         """Inside, events are only taken note of; the active set and the model are made once, at the end."""
@@ -244,16 +262,28 @@ class Knowledge:
             self._rows = self.selection.active
             self.model = self._fitted(self.model)
         else:
-            self.model = self.model.at_version(self.version, self._explorer)
+            self.model = self.model.at_version(self.version, self._explorer, self.tried, self._rate())
 
     @property
     def _explorer(self) -> Explorer:
         return self._gaussian if self._guided is None else self._guided.explorer
 
+    def _rate(self) -> SuccessRate | None:
+        """What the newest trials say of success; nothing where outcomes say more."""
+        if self._guided is not None:
+            return None
+        rows = self.store.newest_tried(MOST_RECENT)
+        if not len(rows):
+            return None
+        return SuccessRate(self._kernel.standardise(self.store.states[rows]), self.store.successes(rows).astype(float))
+
     def _prior(self) -> Array:
         rows = self.store.demonstrations()
-        if self.spec.prior_mean == "zero" or not len(rows):
+        if self.spec.prior_mean == "zero":
             return np.zeros(len(self.spec.goal))
+        if not len(rows):
+            low, high = self.spec.bounds
+            return np.asarray(low / 2 + high / 2)
         return np.asarray(self.store.goals[rows].mean(axis=0))
 
     def _fitted(self, previous: Model | None) -> Model:
@@ -264,5 +294,13 @@ class Knowledge:
         samples = (self.store.states[self._rows], self.store.goals[self._rows], self.store.costs[self._rows])
         matrix = partial(self._matrix.of, self._rows)
         return Model.create(
-            self.version, self._parameters, list(self._names.values()), *samples, previous, self._explorer, matrix
+            self.version,
+            self._parameters,
+            list(self._names.values()),
+            *samples,
+            previous,
+            self._explorer,
+            matrix,
+            self.tried,
+            self._rate(),
         )

@@ -12,6 +12,7 @@ import numpy as np
 from crkr.learner.evidence import FitProblem, FitResult, fit
 from crkr.learner.explanation import explain
 from crkr.learner.exploration.draws import draw_ids
+from crkr.learner.exploration.outcome_learner import Drift
 from crkr.learner.knowledge import Knowledge
 from crkr.learner.model import Model
 from crkr.learner.samples.columns import TrialColumns
@@ -158,6 +159,8 @@ class Learner:
         self.apply_trials([seqs[position] for position in found.fresh], [trials[position] for position in found.fresh])
         if self.refit_due:
             self.refit()
+        if self.drift is not None and self.drift.due:
+            self.apply_restart(self.version + 1)
         return Receipt(len(found.fresh), len(trials) - len(found.fresh), seqs, self.version)
 
     def review(self, trials: Sequence[Trial]) -> Review:
@@ -274,6 +277,15 @@ class Learner:
             Invalid: Numbers that are not positive, or not d of them.
         """
         self._told.apply_fit(seq, lengthscales, signal_variance)
+
+    def apply_restart(self, seq: int) -> None:
+        """Applies a restart of the outcome model at log position `seq`, as after a change of the robot."""
+        self._told.apply_restart(seq)
+
+    @property
+    def drift(self) -> Drift | None:
+        """How far outcomes are from what was expected of them; None where no outcome is modelled."""
+        return self._told.drift
 
     def bulk(self, cache: RadiiCache | None = None) -> AbstractContextManager[None]:
         """A block in which events are only taken note of; the active set and the model are made once, at its end.

@@ -11,6 +11,8 @@ from uuid import UUID
 import numpy as np
 
 from crkr.learner.exploration.explorer import Explorer, GaussianExplorer
+from crkr.learner.exploration.initial_goals import space_filling
+from crkr.learner.exploration.success import SuccessRate
 from crkr.learner.parameters import Parameters
 from crkr.learner.regression import KernelMaker, Regression
 from crkr.protocol import Array, Invalid, NoSamples, NovelState, Prediction, check_states, id_from_wire
@@ -34,6 +36,8 @@ class Model:
         costs: (m,) their costs.
         regression: Posterior of the scaled goals; None while there is no active sample.
         explorer: Chooses the goals.
+        tried: How many trials were reported, successes or not.
+        rate: Tells P(success) where the explorer does not; None: no trial was reported yet.
     """
 
     version: int
@@ -44,6 +48,8 @@ class Model:
     costs: Array
     regression: Regression | None
     explorer: Explorer
+    tried: int = 0
+    rate: SuccessRate | None = None
 
     @classmethod
     def create(
@@ -57,6 +63,8 @@ class Model:
         previous: Model | None = None,
         explorer: Explorer | None = None,
         matrix: KernelMaker | None = None,
+        tried: int = 0,
+        rate: SuccessRate | None = None,
     ) -> Model:
         """Fits the regression to these samples, O(m^3); `previous` may save most of it where samples were only added.
 
@@ -72,11 +80,11 @@ class Model:
             earlier, noise = previous.regression if previous is not None else None, parameters.noise(costs)
             regression = Regression.fit(kernel, kernel.standardise(states), scaled, noise, earlier, matrix)
         explorer = explorer or GaussianExplorer(parameters.seed, parameters.low, parameters.high)
-        return cls(version, parameters, tuple(ids), states, goals, costs, regression, explorer)
+        return cls(version, parameters, tuple(ids), states, goals, costs, regression, explorer, tried, rate)
 
-    def at_version(self, version: int, explorer: Explorer) -> Model:
+    def at_version(self, version: int, explorer: Explorer, tried: int, rate: SuccessRate | None) -> Model:
         """The same regression after events that did not change it."""
-        return replace(self, version=version, explorer=explorer)
+        return replace(self, version=version, explorer=explorer, tried=tried, rate=rate)
 
     @property
     def active(self) -> int:
@@ -113,10 +121,10 @@ class Model:
     def answer(self, states: Array, explore: bool, ids: list[UUID]) -> Prediction:
         """The same as `predict`, for states (d,) or (b, d) and ids that were checked before."""
         regression, own = self.regression, self.parameters
-        if regression is None:
-            raise NoSamples(f"task {own.task!r} has no active sample; report a demonstration or a success first")
         z = own.kernel.standardise(states)
-        if z.ndim == 1:
+        if regression is None:
+            means, sigmas, novelty = self._prior(states, explore)
+        elif z.ndim == 1:
             mean, variance, prior = regression.at(z)
             sigmas = own.scales * (own.explore_scale * math.sqrt(variance + own.exploration_floor))
             novelty = np.array(min(variance / prior, 1.0))
@@ -126,13 +134,19 @@ class Model:
             novelty = np.minimum(variances / priors, 1.0)
         if own.novelty_limit is not None:
             _refuse_novel(novelty, own.novelty_limit, own.task)
-        means = np.multiply(mean, own.scales, out=mean)
-        means += own.prior
-        if explore:
-            goals, corrected, outcome, deviation = self.explorer.draw(states, means, sigmas, ids)
+        if regression is not None:
+            means = np.multiply(mean, own.scales, out=mean)
+            means += own.prior
+        if explore and (self.tried < own.start.count or not (self.explorer.guides or regression)):
+            goals = space_filling(own.seed, ids, self.tried, own.low, own.high).reshape(means.shape)
+            corrected = outcome = deviation = chance = None
+        elif explore:
+            goals, corrected, outcome, deviation, chance = self.explorer.draw(states, means, sigmas, ids)
         else:
-            goals, corrected, outcome, deviation = self.explorer.best(states, means, sigmas)
-        for array in (goals, means, sigmas, novelty, corrected, outcome, deviation):
+            goals, corrected, outcome, deviation, chance = self.explorer.best(states, means, sigmas)
+        if chance is None:
+            chance = np.full(z.shape[:-1], np.nan) if self.rate is None else self.rate.at(z)
+        for array in (goals, means, sigmas, novelty, corrected, outcome, deviation, chance):
             if array is not None:
                 array.setflags(write=False)
         policy = "explore" if explore else "mean"
@@ -140,13 +154,27 @@ class Model:
             policy = "corrected"
         return Prediction(
             states, goals, means, sigmas, novelty, ids, self.version, len(self.ids), policy, outcome, deviation,
-            corrected=corrected,
+            corrected=corrected, success_probability=chance,
         )  # fmt: skip
+
+    def _prior(self, states: Array, explore: bool) -> tuple[Array, Array, Array]:
+        """Means, sigmas and novelties while no sample is active: outcomes alone guide, or space is filled.
+
+        Raises:
+            NoSamples: Nothing is known yet, and nothing is to be explored.
+        """
+        own, guides = self.parameters, self.explorer.guides
+        if not guides and (own.start.type == "demonstrations" or not explore):
+            raise NoSamples(f"task {own.task!r} has no active sample; report a demonstration or a success first")
+        shape = (*states.shape[:-1], len(own.scales))
+        means = self.explorer.best_tried(states) if guides else np.broadcast_to(own.prior, shape).copy()
+        return means, np.broadcast_to(own.explore_scale * own.scales, shape).copy(), np.ones(states.shape[:-1])
 
     def to_wire(self) -> dict[str, Any]:
         """The model as data, as the `model` query returns it."""
         samples = {"states": self.states, "goals": self.goals, "costs": self.costs, "ids": list(self.ids)}
-        return {"version": self.version, **samples, **self.parameters.to_wire()}
+        rate = {} if self.rate is None else {"recent": {"states": self.rate.Z, "success": self.rate.success}}
+        return {"version": self.version, **samples, **self.parameters.to_wire(), **rate}
 
     @classmethod
     def from_wire(cls, message: Mapping[str, Any]) -> Model:
@@ -170,6 +198,7 @@ class Model:
             finite_array(arrays["states"].reshape(-1, d), "states", (m, d)),
             finite_array(arrays["goals"].reshape(-1, p), "goals", (m, p)),
             finite_array(arrays["costs"], "costs", (m,)),
+            rate=_rate(message.get("recent"), d),
         )
 
 
@@ -192,6 +221,15 @@ def _checked_ids(given: Sequence[UUID | bytes] | UUID | bytes | None, count: int
     if len(ids) != count or len({one.int for one in ids}) != count:  # a UUID's own hash takes twice as long
         raise Invalid(f"trial_ids must be {count} different ids, one a state; got {len(ids)}")
     return ids
+
+
+def _rate(recent: object, d: int) -> SuccessRate | None:
+    """The newest trials of a model as data, standardised; None from a server of version 0.1."""
+    if not isinstance(recent, Mapping):
+        return None
+    success = finite_array(_array(recent.get("success"), "recent.success"), "recent.success", (None,))
+    states = _array(recent.get("states"), "recent.states").reshape(-1, d)
+    return SuccessRate(finite_array(states, "recent.states", (len(success), d)), success)
 
 
 def _array(value: object, name: str) -> Array:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, final
 
 import numpy as np
@@ -12,6 +12,7 @@ from crkr.learner.kernel import Kernel
 from crkr.learner.noise import noise_variances
 from crkr.protocol import Array, Invalid, TaskSpec
 from crkr.protocol.codec import array_from_wire
+from crkr.protocol.specification.settings import Start
 
 __all__ = ["Parameters"]
 
@@ -35,6 +36,7 @@ class Parameters:
         explore_scale: Multiplies sigma.
         exploration_floor: Added to sigma^2 in scaled units.
         novelty_limit: Novelty above which states are refused; None: none are.
+        start: What is explored before anything succeeded.
     """
 
     task: str
@@ -50,6 +52,7 @@ class Parameters:
     explore_scale: float
     exploration_floor: float
     novelty_limit: float | None
+    start: Start = field(default_factory=Start)
 
     @classmethod
     def create(cls, spec: TaskSpec, kernel: Kernel, prior: Array) -> Parameters:
@@ -69,6 +72,7 @@ class Parameters:
             explore_scale=spec.explore_scale,
             exploration_floor=spec.exploration_floor,
             novelty_limit=spec.novelty_limit if spec.novel == "refuse" else None,
+            start=spec.start,
         )
 
     def noise(self, costs: Array) -> Array:

@@ -91,7 +91,7 @@ class Server:
             raise
         self._latencies, self._workers = Latencies(), Workers()
         self._notices, self._radii = Notices(self._session), RadiiKeeper(self._log)
-        self._learning = Learning(self._learned, self._fit_when_due)
+        self._learning = Learning(self._learned, self._fit_when_due, self._restart_model)
         self._due: dict[str, DueFit] = {}
         self._lanes: list[Lane[Any]] = []
         self._refuser = Refuser()
@@ -112,7 +112,7 @@ class Server:
         reader = Reader(
             server_id, self.tasks, self._log.reads, self._learning, self._workers, self._latencies, self._queues
         )
-        writer = Writer(self._log, self.tasks, self._workers, self._learning)
+        writer = self._writer = Writer(self._log, self.tasks, self._workers, self._learning)
 
         def lane(
             name: str, verbs: str, work: Any, most: int = 1, limit: int = _QUEUE, **how: Any
@@ -184,6 +184,10 @@ class Server:
             refusal = self._refit_lane.offer(self._due[task.name])
             if refusal is not None:
                 self._due[task.name].fail(refusal)
+
+    def _restart_model(self, task: ServedTask) -> None:
+        """Called by learning when outcomes show that a task's robot has changed."""
+        self._writer.restart(task)
 
     def _learned(self, task: ServedTask, before: Model, after: Model) -> None:
         """Called by learning for every new model."""

@@ -26,5 +26,5 @@ def test_the_settings_shown_are_the_defaults() -> None:
 
 
 def test_the_number_of_searched_trials_is_the_one_told_and_the_most_that_can_be_asked_for() -> None:
-    assert f"newest {SEARCHED:,} observed trials".replace(",", " ") in PAGE
+    assert f"newest {SEARCHED:,} trials".replace(",", " ") in PAGE
     assert SEARCHED == MOST_TRIALS

@@ -7,33 +7,21 @@ from dataclasses import replace
 import numpy as np
 from scipy.stats import chi2
 
-from crkr.learner.exploration.outcome_fit import LocalFit
 from crkr.learner.exploration.outcome_posterior import OutcomeLine, condition
 from crkr.protocol import Array
 
-P = 5
-TWO = (np.array([0, 1]), np.array([2]))
+P, M = 5, 3
 
 
 def a_line(seed: int = 0) -> OutcomeLine:
     rng = np.random.default_rng(seed)
-    m = sum(map(len, TWO))
-    fit = LocalFit(
-        o=rng.normal(size=(1, m)),
-        J=rng.normal(size=(1, m, P)),
-        variance=rng.uniform(0.1, 2, (1, m)),
-        leverage=rng.uniform(size=(1, len(TWO)))[:, [0, 0, 1]],
-        M=np.tile(np.eye(1 + 2 + P), (len(TWO), 1, 1, 1)),
-        slope=np.full((len(TWO), 1), 0.5),
-        sets=np.array([0, 0, 1]),
-    )
-    return OutcomeLine(rng.normal(size=(1, P)), fit, np.concatenate(TWO))
+    o, J, R = rng.normal(size=(1, M)), rng.normal(size=(1, M, P)), rng.uniform(1.1, 4, (1, M))
+    return OutcomeLine(rng.normal(size=(1, P)), o, J, R)
 
 
 def normal_equations(mean: Array, spread: Array, line: OutcomeLine) -> tuple[Array, Array]:
     """Mean and covariance that minimise the squared steps from the mean and from the target, each in its variance."""
-    fit, where = line.fit, line.where[0]
-    J, o, R = fit.J[0], fit.o[0], 1 + fit.variance[0] * (1 + fit.leverage[0])
+    where, o, J, R = line.where[0], line.o[0], line.J[0], line.R[0]
     precision = np.diag(spread**-2.0) + J.T @ np.diag(1 / R) @ J
     wanted = mean / spread**2 + J.T @ ((J @ where - o) / R)
     return np.linalg.solve(precision, wanted), np.linalg.inv(precision)
@@ -72,29 +60,27 @@ def test_a_goal_without_freedom_stays() -> None:
 
 def test_what_is_sharp_hits_and_what_is_vague_stays() -> None:
     line = a_line(7)
-    sharp = OutcomeLine(line.where, replace(line.fit, variance=0 * line.fit.variance), line.entries)
-    hitting = condition(np.zeros((1, P)), np.full((1, P), 1e6), sharp)
-    o, _ = sharp.at(hitting.g)
-    np.testing.assert_allclose(o, 0.0, atol=1e-9)
-    vague = OutcomeLine(line.where, replace(line.fit, variance=line.fit.variance + 1e12), line.entries)
+    hitting = condition(np.zeros((1, P)), np.full((1, P), 1e6), line)
+    np.testing.assert_allclose(line.o + (line.J @ (hitting.g - line.where)[..., None])[..., 0], 0.0, atol=1e-9)
+    vague = replace(line, R=line.R + 1e12)
     np.testing.assert_allclose(condition(np.zeros((1, P)), np.ones((1, P)), vague).g, 0, atol=1e-9)
+
+
+def test_an_entry_without_slope_and_miss_says_nothing() -> None:
+    line = a_line(9)
+    silent = replace(line, o=line.o * [[1, 0, 1]], J=line.J * np.array([1, 0, 1])[None, :, None])
+    left = OutcomeLine(line.where, line.o[:, [0, 2]], line.J[:, [0, 2]], line.R[:, [0, 2]])
+    mean, spread = np.ones((1, P)), np.full((1, P), 2.0)
+    np.testing.assert_allclose(condition(mean, spread, silent).g, condition(mean, spread, left).g, rtol=1e-12)
 
 
 def test_states_are_conditioned_each_on_its_own() -> None:
     rng = np.random.default_rng(8)
     lines = [a_line(seed) for seed in range(9)]
     mean, spread = rng.normal(size=(9, P)), rng.uniform(0.2, 3, (9, P))
-    names = ("o", "J", "variance", "leverage")
-    fit = replace(
-        lines[0].fit,
-        **{name: np.concatenate([getattr(line.fit, name) for line in lines]) for name in names},
-        M=np.concatenate([line.fit.M for line in lines], axis=1),
-        slope=np.concatenate([line.fit.slope for line in lines], axis=1),
-    )
-    together = OutcomeLine(np.concatenate([line.where for line in lines]), fit, lines[0].entries)
-    posterior = condition(mean, spread, together)
+    parts = {name: np.concatenate([getattr(line, name) for line in lines]) for name in ("where", "o", "J", "R")}
+    posterior = condition(mean, spread, OutcomeLine(**parts))
     for place, line in enumerate(lines):
         alone = condition(mean[place : place + 1], spread[place : place + 1], line)
         assert alone.g.tobytes() == posterior.g[place].tobytes()
         assert alone.G.tobytes() == posterior.of(np.array([place])).G.tobytes()
-        assert line.at(mean[place : place + 1])[0].tobytes() == together.at(mean)[0][place].tobytes()

@@ -115,21 +115,19 @@ class LearnerAgainstTheBatchAlgorithm(RuleBasedStateMachine):
             assert self.learner.eligible == len(self.eligible())
 
     @invariant()
-    def what_guides_is_what_was_observed(self) -> None:
+    def what_guides_is_what_was_tried(self) -> None:
         if hasattr(self, "learner"):
             explorer = self.learner.model.explorer
             assert isinstance(explorer, OutcomeExplorer)
-            observed = [
-                entry
-                for entry in self.told
-                if not entry["removed"]
-                and entry["kind"] != "evaluation"
-                and entry["outcome"] is not None
-                and (np.isfinite(entry["outcome"][:2]).all() or np.isfinite(entry["outcome"][2]))
-            ]
-            outcomes = np.array([entry["outcome"] for entry in observed]).reshape(-1, 3)
+            tried = [entry for entry in self.told if not entry["removed"] and entry["kind"] != "evaluation"]
+            unseen = np.full(3, np.nan)
+            outcomes = np.array([unseen if (own := entry["outcome"]) is None else own for entry in tried]).reshape(
+                -1, 3
+            )
             np.testing.assert_array_equal(explorer.trials.Y, outcomes / 0.1)
-            states = np.array([entry["state"] for entry in observed]).reshape(-1, 2)
+            refused = [entry["kind"] == "failed" for entry in tried]
+            np.testing.assert_array_equal(explorer.trials.refused, np.array(refused, dtype=np.bool_))
+            states = np.array([entry["state"] for entry in tried]).reshape(-1, 2)
             np.testing.assert_allclose(explorer.trials.X[:, :2], states / LENGTHSCALE)
             assert explorer.trials.counts[1] == np.count_nonzero(np.isfinite(outcomes[:, 2]))
 

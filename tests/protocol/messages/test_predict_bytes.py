@@ -34,6 +34,7 @@ def prediction(rng: np.random.Generator, shape: tuple[int, ...], p: int, q: int)
         predicted_outcome=rng.normal(size=(*shape, q)) if q else None,
         predicted_outcome_sd=rng.normal(size=(*shape, q)) if q else None,
         compute_us=int(rng.integers(100_000)),
+        success_probability=np.asarray(rng.uniform(size=shape)),
     )
 
 
@@ -44,6 +45,7 @@ def row(whole: Prediction, index: int) -> Prediction:
         return None if array is None else np.asarray(array[index])
 
     arrays = {name: part(getattr(whole, name)) for name in ("states", "goals", "means", "sigmas", "novelty")}
+    arrays["success_probability"] = part(whole.success_probability)
     outcome = {name: part(getattr(whole, name)) for name in ("predicted_outcome", "predicted_outcome_sd")}
     rest = {name: getattr(whole, name) for name in ("model_version", "active", "policy", "compute_us")}
     if whole.corrected is not None:

@@ -23,6 +23,7 @@ from crkr.protocol import (
     pack,
     random_ids,
 )
+from crkr.protocol.messages.sizes import MOST_RECENT
 
 
 def spec(states: int, goals: int) -> TaskSpec:
@@ -36,8 +37,9 @@ def prediction(count: int, outputs: int, measured: int) -> Prediction:
     wide, ids = np.zeros((count, outputs)), [UUID(bytes=one) for one in random_ids(count)]
     outcome = np.zeros((count, measured)) if measured else None
     return Prediction(
-        wide, wide, wide, wide, np.zeros(count), ids, 2**62, 2**62, "corrected", outcome, outcome, compute_us=2**62
-    )
+        wide, wide, wide, wide, np.zeros(count), ids, 2**62, 2**62, "corrected", outcome, outcome, compute_us=2**62,
+        success_probability=np.zeros(count),
+    )  # fmt: skip
 
 
 @pytest.mark.parametrize(("outputs", "measured"), [(100, 0), (256, 0), (256, 256), (90, 17)])
@@ -70,6 +72,7 @@ def test_a_model_of_as_many_samples_as_is_said_fits_and_no_larger_budget_is_acce
         "costs": np.zeros(most),
         "ids": random_ids(most),
         "settings": [np.zeros(states)] * 2 + [np.zeros(goals)] * 4,
+        "recent": {"states": np.zeros((MOST_RECENT, states)), "success": np.zeros(MOST_RECENT)},
     }
     assert 0.99 * MAX_MESSAGE_BYTES < len(pack(model)) <= MAX_MESSAGE_BYTES - 2048
     check_model_fits(replace(spec(states, goals), budget=most))
@@ -82,6 +85,8 @@ def test_a_model_of_as_many_samples_as_is_said_fits_and_no_larger_budget_is_acce
 def test_a_model_grows_by_sample_as_is_said(states: int, goals: int) -> None:
     learner = Learner(replace(spec(states, goals), name="n" * 63))
     rng = np.random.default_rng(3)
+    recent = rng.uniform(size=(MOST_RECENT, states))
+    learner.report(state=recent, goal=np.zeros((MOST_RECENT, goals)), cost=0.5, success=False)
     sizes = []
     for _ in range(2):
         for _ in range(50):

@@ -32,8 +32,8 @@ def test_defaults_are_those_of_the_paper_or_better_known() -> None:
         "seed": 0,
         "outcome": [],
         "exploration": {
-            "type": "gaussian", "trust": 4.0, "temperature": [0.1, 0.5], "neighbours": 60, "iterations": 2,
-            "min_trials": 20, "gate": 2.0,
+            "type": "gaussian", "trust": 4.0, "temperature": [0.02, 0.1, 0.5], "neighbours": 100, "iterations": 3,
+            "min_trials": 6, "gate": 1.0, "model": "gp", "candidates": 32, "drift": True,
         },
         "kernel": {"type": "se-ard", "signal_variance": 1.0, "linear_weight": 0.0},
         "budget": 250,
@@ -48,6 +48,7 @@ def test_defaults_are_those_of_the_paper_or_better_known() -> None:
         "novelty_limit": 0.9,
         "selector": "anms",
         "refit_every": 0,
+        "start": {"type": "space-filling", "count": 0},
     }  # fmt: skip
     np.testing.assert_array_equal(spec.centres, [2.0, 0.0])
     np.testing.assert_array_equal(spec.lengthscales, [1.0, 0.5])

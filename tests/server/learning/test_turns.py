@@ -22,7 +22,7 @@ PATIENCE_S = 30.0
 
 @pytest.fixture
 def learning() -> Iterator[Learning]:
-    made = Learning(lambda *_: None, lambda _: None)
+    made = Learning(lambda *_: None, lambda _: None, lambda _: None)
     yield made
     made.close(PATIENCE_S)
 

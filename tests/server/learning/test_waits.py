@@ -97,7 +97,7 @@ def test_changes_that_would_wait_for_long_are_refused_and_those_that_were_taken_
     def ignore(_task: ServedTask, _before: Model | None = None, _after: Model | None = None) -> None:
         """Nobody is told of new models here."""
 
-    tasks, learning = Tasks(), Learning(ignore, ignore)
+    tasks, learning = Tasks(), Learning(ignore, ignore, lambda _: None)
     for name in ("reach", "other"):
         tasks.add(ServedTask(TaskSpec.from_dict({**reach, "name": name})))
         log.create(tasks.get(name).created)

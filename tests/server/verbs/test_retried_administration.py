@@ -56,7 +56,7 @@ def ignore(_task: ServedTask, _before: Model | None = None, _after: Model | None
 
 @pytest.fixture
 def learning() -> Learning:
-    return Learning(ignore, ignore)
+    return Learning(ignore, ignore, lambda _: None)
 
 
 @pytest.fixture

@@ -25,12 +25,14 @@ class Choice(NamedTuple):
         corrected: () or (b,) which goals are not the plain means because of what they would lead to; None: none.
         predicted_outcome: (q,) or (b, q) [units of the outcome], NaN where it is not modelled; None: nowhere.
         predicted_outcome_sd: The same shape.
+        success_probability: () or (b,), NaN where nothing is known; None: nowhere.
     """
 
     goals: Array
     corrected: NDArray[np.bool_] | None = None
     predicted_outcome: Array | None = None
     predicted_outcome_sd: Array | None = None
+    success_probability: Array | None = None
 
 
 class Explorer(Protocol):
@@ -38,6 +40,15 @@ class Explorer(Protocol):
 
     What it returns must depend on its arguments and on what it was made from only, row by row.
     """
+
+    @property
+    def guides(self) -> bool:
+        """Whether it knows where to explore although nothing has succeeded yet."""
+        ...
+
+    def best_tried(self, states: Array) -> Array:
+        """Goals (p,) or (b, p) to start from in these states while nothing has succeeded; asked only if it guides."""
+        ...
 
     @property
     def searched(self) -> int:
@@ -78,6 +89,15 @@ class GaussianExplorer:
     def of(cls, spec: TaskSpec) -> GaussianExplorer:
         """That of a task."""
         return cls(spec.seed, *spec.bounds)
+
+    @property
+    def guides(self) -> bool:
+        """It does not."""
+        return False
+
+    def best_tried(self, states: Array) -> Array:
+        """The middle of the bounds."""
+        return np.broadcast_to(self.low / 2 + self.high / 2, (*states.shape[:-1], len(self.low))).copy()
 
     @property
     def searched(self) -> int:

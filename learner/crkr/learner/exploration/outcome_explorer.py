@@ -1,40 +1,54 @@
-"""Exploration guided by measured outcomes: goals that are as likely as the regression says, and should also hit.
+"""Outcome-guided exploration: the GP distribution over goals, conditioned on the target outcome.
 
-A prior from the regression of successes is conditioned on the outcome being the target, as seen by a local linear model
-of all executed trials: a Kalman update, linearised again where it leads to. Misses thus teach as much as hits, and
-noise is left in those directions of the goal that do not change the outcome. Learned forward models guide contextual
-policy search in [Kupcsik2013]; here the regression's own uncertainty bounds how far they are trusted.
+The prior N(m, (trust sigma)^2) from the regression of successes is conditioned on the outcome being the target, as the
+outcome model sees it: a Kalman update, repeated where it leads to. Misses thus teach as much as hits, and noise is left
+in those directions of the goal that do not change the outcome. Learned forward models guide contextual policy search in
+[Kupcsik2013]; here the regression's own uncertainty bounds how far they are trusted.
 
-Draws of a correlated normal within bounds are by rejection: the first of `_ATTEMPTS` that lies within, which is exact;
-should none do, the first one with each coordinate moved to the nearer bound. After the p uniforms of a trial (see
-draws.py) the next one chooses its temperature, the next q are for the first attempt, and p + q for each further one.
+`draw` takes a draw of the conditioned prior N(g, P'), at one of several temperatures, that is within the bounds and
+likely to be executed. `best` takes the candidate of highest score among the mean, g and draws from a fixed table.
+
+After the p uniforms of a trial (see draws.py) the next one chooses its temperature; then come `_ATTEMPTS` acceptances,
+and p + q + 1 numbers for each attempt.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any, Final, final
 from uuid import UUID
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from crkr.learner.exploration.draws import uniforms
 from crkr.learner.exploration.explorer import Choice, GaussianExplorer
 from crkr.learner.exploration.outcome_index import ObservedTrials
-from crkr.learner.exploration.outcome_posterior import OutcomeLine, Posterior, condition, linearise
+from crkr.learner.exploration.outcome_model import OutcomeModel, Prospect
+from crkr.learner.exploration.outcome_posterior import Posterior, condition_within
 from crkr.learner.exploration.outcome_scales import GOAL_SHARE, OutcomeScales
+from crkr.learner.exploration.prequential import Calibration, DeferredCalibration, features
+from crkr.learner.kernel import squared_distances
 from crkr.learner.selection.anms_batch import Indices
 from crkr.protocol import Array, Exploration, TaskSpec
 
 __all__ = ["OutcomeExplorer"]
 
-_ATTEMPTS: Final = 32
-_BLOCK: Final = 32  # states at a time, of whose distances to all trials there is a matrix
-_BLOCK_ENTRIES: Final = 10_000  # coordinates of their neighbours; more beside a large matrix of distances, since what
-# a process keeps of freed memory is a multiple of the largest piece, and memory that it must ask for again costs most
+_ATTEMPTS: Final = 16
+_BLOCK: Final = 8  # states at a time, whose matrices fit the cache
+_STILL: Final = 0.02  # scales; an update that moves the goal by less is the last
+_REFIT: Final = 0.3  # scales from where the model was fitted, beyond which it is fitted anew
+_SAFE: Final = np.log(0.9)  # P(executed) above which a mean that should hit is not looked at further
+_UNSEEN: Final = 9.0  # squared tolerances that an entry is thought to be off where it was not observed
+_FAR: Final = 1e4  # and at most
+_STATE_SLOPE: Final = 100.0  # squared tolerances that an outcome changes with one step of the state
+_UNKNOWN: Final = Calibration()
+_LOOSE: Final = (
+    2.0  # scales that a goal may be moved at least once the robot has changed: successes before say too much
+)
+_WIDTHS: Final = (0.1, 0.3, 1.0)  # of the candidates, in standard deviations of P'
 
 
 @final
@@ -46,8 +60,10 @@ class OutcomeExplorer:
         plain: Answers until then, and gives the goals that are corrected.
         settings: The task's `exploration`.
         scales: The task's units.
-        trials: What was observed so far.
+        trials: What was tried so far.
         groups: Those groups of outcomes that were observed in `min_trials` trials or more; others are not modelled.
+        calibration: How far its model may be believed.
+        changed: The robot has changed since the task began.
     """
 
     plain: GaussianExplorer
@@ -55,34 +71,64 @@ class OutcomeExplorer:
     scales: OutcomeScales
     trials: ObservedTrials
     groups: tuple[int, ...]
+    calibration: Calibration | DeferredCalibration = _UNKNOWN
+    changed: bool = False
 
     @classmethod
     def of(cls, spec: TaskSpec, scales: OutcomeScales, trials: ObservedTrials) -> OutcomeExplorer:
         """That of a task; `with_trials` gives later ones."""
         return cls(GaussianExplorer.of(spec), spec.exploration, scales, trials, ()).with_trials(trials)
 
-    def with_trials(self, trials: ObservedTrials) -> OutcomeExplorer:
-        """The same with other trials to look up."""
+    def with_trials(
+        self,
+        trials: ObservedTrials,
+        calibration: Calibration | DeferredCalibration = _UNKNOWN,
+        *,
+        changed: bool = False,
+    ) -> OutcomeExplorer:
+        """The same with other trials to look up, and what they say of the model."""
         groups = range(len(self.scales.groups))
         enough = tuple(group for group in groups if trials.counts[group] >= self.settings.min_trials)
-        return replace(self, trials=trials, groups=enough)
+        return replace(self, trials=trials, groups=enough, calibration=calibration, changed=changed)
+
+    @property
+    def guides(self) -> bool:
+        """Once enough outcomes were observed."""
+        return bool(self.groups)
 
     @property
     def searched(self) -> int:
-        """The observed trials, once they are enough."""
-        return len(self.trials) if self.groups else 0
+        """The tried goals, once enough outcomes were observed."""
+        return len(self.trials) if self.guides else 0
+
+    def best_tried(self, states: Array) -> Array:
+        """(p,) or (b, p) tried goals whose outcome should be nearest to the target in these states.
+
+        A trial counts by its squared outcome, by how far its state is, and against it by what was not observed.
+        """
+        trials, d = self.trials, self.trials.X.shape[1] - len(self.scales.scales)
+        entries = np.concatenate([self.scales.groups[group] for group in self.groups])
+        o = trials.Y[:, entries]
+        o = np.where(self.scales.one_sided[entries] * o > 0, 0.0, o)
+        off = np.where(np.isnan(o), _UNSEEN, np.minimum(o * o, _FAR)).sum(axis=1) + _FAR * trials.refused
+        z = self.scales.metric.standardise(np.atleast_2d(states))
+        away = squared_distances(z, trials.X[:, :d])
+        goals = trials.X[(off + _STATE_SLOPE * away).argmin(axis=1), d:] / GOAL_SHARE
+        return self._goals(goals).reshape(*states.shape[:-1], -1)
 
     def best(self, states: Array, means: Array, sigmas: Array) -> Choice:
-        """The plain goals where they should do, otherwise the conditioned ones.
+        """The plain goals where they should do, otherwise the candidates of highest score.
 
-        A goal is corrected where some entry of its own predicted outcome is more than `gate` tolerances off.
+        A plain goal does where every entry of its predicted outcome is within `gate` tolerances and it is likely to be
+        executed.
         """
-        plain = self.plain.best(states, means, sigmas)
-        return self._by_blocks(self._best, states, plain.goals, sigmas) if self.groups else plain
+        if not self.guides:
+            return self.plain.best(states, means, sigmas)
+        return self._by_blocks(self._best, states, means, sigmas)
 
     def draw(self, states: Array, means: Array, sigmas: Array, ids: Sequence[UUID]) -> Choice:
         """Draws from N(g, temperature^2 P'), the conditioned prior; the trial id decides the temperature too."""
-        if not self.groups:
+        if not self.guides:
             return self.plain.draw(states, means, sigmas, ids)
         return self._by_blocks(self._draw, states, means, sigmas, ids)
 
@@ -92,97 +138,141 @@ class OutcomeExplorer:
             alone = [part[None] if isinstance(part, np.ndarray) else part for part in rest]
             parts: list[Any] = list(choose(states[None], *alone))
             return Choice(*(part[0, ...] for part in parts))
-        neighbours = min(self.settings.neighbours, len(self.trials))
-        entries = _BLOCK_ENTRIES + 2 * len(self.trials)
-        size = max(1, min(_BLOCK, entries // (neighbours * self.trials.X.shape[1])))
-        starts = range(0, len(states), size)
-        blocks = [choose(*(part[start : start + size] for part in (states, *rest))) for start in starts]
+        starts = range(0, len(states), _BLOCK)
+        blocks = [choose(*(part[start : start + _BLOCK] for part in (states, *rest))) for start in starts]
         return Choice(*map(np.concatenate, zip(*blocks, strict=True)))
 
-    def _best(self, states: Array, plain: Array, sigmas: Array) -> Choice:
-        z, means = self.scales.metric.standardise(states), self.scales.scaled(plain)
-        line = self._line(z, means)
-        fine = line.worst <= self.settings.gate
-        if fine.all():
-            return self._choice(plain, means, line, corrected=False)
-        if not fine.any():
-            return self._corrected(z, means, sigmas, line)
-        off = np.flatnonzero(~fine)
-        parts: list[Any] = list(self._choice(plain.copy(), means, line, corrected=False))
-        for whole, part in zip(parts, self._corrected(z[off], means[off], sigmas[off], line.of(off)), strict=True):
-            whole[off] = part
-        return Choice(*parts)
-
-    def _corrected(self, z: Array, means: Array, sigmas: Array, line: OutcomeLine) -> Choice:
-        posterior, line = self._conditioned(z, means, sigmas, line)
-        return self._choice(self._goals(posterior.g), posterior.g, line, corrected=True)
+    def _best(self, states: Array, means: Array, sigmas: Array) -> Choice:
+        z, m, spread = self._prior(states, means, sigmas)
+        model = self._model(z, m)
+        seen = model.prospect(m[:, None])
+        fine = (np.abs(seen.o).max(axis=2) <= self.settings.gate) & (seen.executed >= _SAFE)
+        off = np.flatnonzero(~fine[:, 0])
+        scaled, raw, variance = m.copy(), seen.raw[:, 0].copy(), seen.variance[:, 0].copy()
+        corrected, chance = np.zeros(len(m), dtype=np.bool_), self._chance(seen, np.zeros(len(m), dtype=np.int64))
+        if len(off):
+            for rows, posterior, near in self._conditioned(z[off], m[off], spread[off], model.of(off)):
+                candidates = self._candidates(m[off[rows]], posterior)
+                seen = near.prospect(candidates)
+                chosen, row, where = seen.score.argmax(axis=1), np.arange(len(rows)), off[rows]
+                scaled[where], corrected[where] = candidates[row, chosen], chosen != 0
+                raw[where], variance[where] = seen.raw[row, chosen], seen.variance[row, chosen]
+                chance[where] = self._chance(seen, chosen)
+        goals = self._goals(scaled)
+        plain = np.clip(means, self.plain.low, self.plain.high)
+        goals[~corrected] = plain[~corrected]
+        return self._choice(goals, corrected, model.entries, raw, variance, chance)
 
     def _draw(self, states: Array, means: Array, sigmas: Array, ids: Sequence[UUID]) -> Choice:
-        z, centres = self.scales.metric.standardise(states), self.scales.scaled(means)
-        posterior, line = self._conditioned(z, centres, sigmas, self._line(z, centres))
-        drawn = self._drawn(posterior, line, ids)
-        return self._choice(self._goals(drawn), drawn, line, corrected=False)
+        z, m, spread = self._prior(states, means, sigmas)
+        model = self._model(z, m)
+        drawn, raw, variance = np.empty_like(m), *np.empty((2, len(m), len(model.entries)))
+        chance = np.empty(len(m))
+        for rows, posterior, near in self._conditioned(z, m, spread, model):
+            drawn[rows], seen = self._drawn(posterior, near, [ids[row] for row in rows.tolist()])
+            raw[rows], variance[rows] = seen.raw[:, 0], seen.variance[:, 0]
+            chance[rows] = self._chance(seen, np.zeros(len(rows), dtype=np.int64))
+        nowhere = np.zeros(len(m), dtype=np.bool_)
+        return self._choice(self._goals(drawn), nowhere, model.entries, raw, variance, chance)
 
-    def _line(self, z: Array, goals: Array) -> OutcomeLine:
-        x = np.concatenate([z, GOAL_SHARE * goals], axis=1)
-        return linearise(self.trials, self.scales, self.groups, x, self.settings.neighbours)
-
-    def _conditioned(self, z: Array, means: Array, sigmas: Array, line: OutcomeLine) -> tuple[Posterior, OutcomeLine]:
-        """The posterior, its mean within the bounds, and the line it was made with; `line` touches at the means."""
+    def _prior(self, states: Array, means: Array, sigmas: Array) -> tuple[Array, Array, Array]:
+        """States in the metric, scaled means, and how far these may be moved."""
         own = self.scales
-        spread = np.minimum(self.settings.trust * (sigmas / own.scales), own.high - own.low)
-        posterior = self._bounded(means, spread, line)
+        spread = self.settings.trust * (sigmas / own.scales)
+        if self.changed:
+            spread = np.maximum(spread, _LOOSE)
+        spread = np.minimum(spread, own.high - own.low)
+        return own.metric.standardise(states), own.scaled(means), spread
+
+    def _model(self, z: Array, goals: Array) -> OutcomeModel:
+        return OutcomeModel.near(self.trials, self.scales, self.groups, z, goals, self.settings.neighbours)
+
+    def _conditioned(
+        self, z: Array, means: Array, spread: Array, model: OutcomeModel
+    ) -> Iterator[tuple[Indices, Posterior, OutcomeModel]]:
+        """Posteriors with means within the bounds, and the models they were made with; `model` is centred at the means.
+
+        Where a posterior is far from the mean, the model is fitted anew around it. Hence there are up to two parts,
+        each with the rows that it is of.
+        """
+        posterior = self._updated(means, spread, means, model)
+        far = np.abs(posterior.g - means).max(axis=1) > _REFIT
+        if not far.any():
+            yield np.arange(len(z)), posterior, model
+            return
+        if not far.all():
+            rows = np.flatnonzero(~far)
+            yield rows, posterior.of(rows), model.of(rows)
+        rows = np.flatnonzero(far)
+        near = self._model(z[rows], posterior.g[rows])
+        yield rows, self._updated(means[rows], spread[rows], posterior.g[rows], near), near
+
+    def _updated(self, means: Array, spread: Array, start: Array, model: OutcomeModel) -> Posterior:
+        """Updates repeated, each with the line at the goal before, until the goal moves no more."""
+        posterior = condition_within(means, spread, model.line(start), self.scales)
+        moving = np.flatnonzero(np.abs(posterior.g - start).max(axis=1) >= _STILL)
         for _ in range(1, self.settings.iterations):
-            line = self._line(z, posterior.g)
-            posterior = self._bounded(means, spread, line)
-        return posterior, line
+            if not len(moving):
+                break
+            before = posterior.g[moving]
+            line = model.of(moving).line(before)
+            after = condition_within(means[moving], spread[moving], line, self.scales)
+            posterior.put(moving, after)
+            moving = moving[np.abs(after.g - before).max(axis=1) >= _STILL]
+        return posterior
 
-    def _bounded(self, means: Array, spread: Array, line: OutcomeLine) -> Posterior:
-        """The posterior with a mean within the bounds: what sticks out is held at its bound, and the rest makes up."""
-        posterior = condition(means, spread, line)
-        g = self.scales.within(posterior.g)
-        beyond = g != posterior.g
-        if beyond.any():
-            rows = np.flatnonzero(beyond.any(axis=1))
-            held, fixed = beyond[rows], g[rows]
-            means, spread = np.where(held, fixed, means[rows]), np.where(held, 0.0, spread[rows])
-            g[rows] = self.scales.within(condition(means, spread, line.of(rows)).g)
-        return replace(posterior, g=g)
+    def _candidates(self, means: Array, posterior: Posterior) -> Array:
+        """(b, 2 + candidates, p): the mean, the posterior's mean, and draws from it within the bounds."""
+        m = posterior.R.shape[1]
+        table, widths = _normals(self.settings.candidates, means.shape[1], m)
+        drawn = posterior.g[:, None] + widths * posterior.deviations(table)
+        return np.concatenate([means[:, None], posterior.g[:, None], self.scales.within(drawn)], axis=1)
 
-    def _drawn(self, posterior: Posterior, line: OutcomeLine, ids: Sequence[UUID]) -> Array:
-        p, q = posterior.g.shape[1], len(self.scales.target)
-        seed, first = self.plain.seed, p + 1 + q
-        columns = np.concatenate([np.arange(p), p + line.entries])
-        u = uniforms(seed, ids, first)
+    def _drawn(self, posterior: Posterior, model: OutcomeModel, ids: Sequence[UUID]) -> tuple[Array, Prospect]:
+        b, p = posterior.g.shape
+        q = len(self.scales.target) + 1
+        u = uniforms(self.plain.seed, ids, p + 1 + _ATTEMPTS * (1 + p + q))
         temperatures = np.array(self.settings.temperature)[(u[:, p] * len(self.settings.temperature)).astype(int)]
-
-        def drawn(which: Indices, u: Array) -> Array:
-            deviations = posterior.of(which).deviations(ndtri(u[:, :, columns]))
-            return np.asarray(posterior.g[which, None] + temperatures[which, None, None] * deviations)
-
-        goals = drawn(np.arange(len(u)), np.delete(u, p, axis=1)[:, None])[:, 0]
-        out = np.flatnonzero(~self._inside(goals))
-        if len(out):
-            more = uniforms(seed, [ids[row] for row in out.tolist()], first + (_ATTEMPTS - 1) * (p + q))[:, first:]
-            attempts = drawn(out, more.reshape(len(out), _ATTEMPTS - 1, p + q))
-            inside = self._inside(attempts)
-            found = inside.any(axis=1)  # none inside: the first attempt stays
-            goals[out[found]] = attempts[found, inside.argmax(axis=1)[found]]
-        return goals
-
-    def _inside(self, goals: Array) -> NDArray[np.bool_]:
-        return np.asarray(((goals >= self.scales.low) & (goals <= self.scales.high)).all(axis=-1))
+        accepted, u = u[:, p + 1 : p + 1 + _ATTEMPTS], u[:, p + 1 + _ATTEMPTS :].reshape(b, _ATTEMPTS, p + q)
+        columns = np.concatenate([np.arange(p), p + model.entries, [p + q - 1]])
+        goals = posterior.g[:, None] + temperatures[:, None, None] * posterior.deviations(ndtri(u[:, :, columns]))
+        inside = ((goals >= self.scales.low) & (goals <= self.scales.high)).all(axis=2)
+        inside[~inside.any(axis=1), 0] = True  # none is: the first, moved to the nearest bound
+        goals = self.scales.within(goals)
+        chances = np.where(inside, model.executed(goals), -np.inf)
+        taken = inside & (np.log(accepted) <= chances)
+        chosen = np.where(taken.any(axis=1), taken.argmax(axis=1), chances.argmax(axis=1))
+        drawn = goals[np.arange(b), chosen]
+        return drawn, model.prospect(drawn[:, None])
 
     def _goals(self, scaled: Array) -> Array:
         goals = self.scales.middle + self.scales.scales * scaled
         return np.minimum(np.maximum(goals, self.plain.low), self.plain.high)
 
-    def _choice(self, goals: Array, scaled: Array, line: OutcomeLine, *, corrected: bool) -> Choice:
+    def _chance(self, seen: Prospect, chosen: Indices) -> Array:
+        """(b,) P(success) of the goal chosen at each state; NaN where nothing is known."""
+        looked_at = features(seen)[np.arange(len(chosen)), chosen]
+        curve = self.calibration.get().curve
+        return np.full(len(chosen), np.nan) if curve is None else curve.at(looked_at)
+
+    def _choice(
+        self, goals: Array, corrected: Any, entries: Indices, raw: Array, variance: Array, chance: Array
+    ) -> Choice:
         own = self.scales
-        o, sd = line.at(own.within(scaled))
         predicted, deviation = np.full((2, len(goals), len(own.target)), np.nan)
-        tolerance = own.tolerance[line.entries]
         with np.errstate(over="ignore"):
-            predicted[:, line.entries] = own.target[line.entries] + tolerance * o
-            deviation[:, line.entries] = tolerance * sd
-        return Choice(goals, np.full(len(goals), corrected), predicted, deviation)
+            predicted[:, entries] = own.target[entries] + own.tolerance[entries] * raw
+            deviation[:, entries] = own.tolerance[entries] * np.sqrt(variance)
+            if (spread := self.calibration.get().spread) is not None:
+                deviation *= spread
+        return Choice(goals, corrected, predicted, deviation, chance)
+
+
+@lru_cache(maxsize=64)
+def _normals(count: int, p: int, m: int) -> tuple[Array, Array]:
+    """A fixed table of standard normal numbers (1, count, p + m), and the widths (count, 1) of the candidates."""
+    table = ndtri(uniforms(0, [UUID(int=row) for row in range(count)], p + m))[None]
+    widths = np.resize(_WIDTHS, count)[:, None]
+    for array in (table, widths):
+        array.setflags(write=False)
+    return table, widths

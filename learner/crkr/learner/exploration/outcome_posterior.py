@@ -5,26 +5,22 @@
                                   S  (m, m) J diag(s2) J' + R                G  (p, m)  gain diag(s2) J' S^-1
 
 Every array has b rows in front, one for each state. Goals are in scales from the middle of their bounds, outcomes in
-tolerances from the target.
+tolerances from the target. A row of o and J that is zero says nothing.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from functools import reduce
+from dataclasses import dataclass, replace
 from typing import Final, final
 
 import numpy as np
 
-from crkr.learner.exploration.outcome_fit import LocalFit, fit_locally, inverse_factor, times
-from crkr.learner.exploration.outcome_index import ObservedTrials
-from crkr.learner.exploration.outcome_neighbours import nearest
-from crkr.learner.exploration.outcome_scales import GOAL_SHARE, OutcomeScales
+from crkr.learner.exploration.local_gp import inverse_factor
+from crkr.learner.exploration.outcome_scales import OutcomeScales
 from crkr.learner.selection.anms_batch import Indices
 from crkr.protocol import Array
 
-__all__ = ["OutcomeLine", "Posterior", "condition", "linearise"]
+__all__ = ["OutcomeLine", "Posterior", "condition", "condition_within"]
 
 _ROUNDING: Final = 1e-12  # of the largest variance, so that entries which say the same still factor
 
@@ -36,26 +32,19 @@ class OutcomeLine:
 
     Attributes:
         where: (b, p) goals that it touches.
-        fit: The line.
-        entries: (m,) which outcome entries the fit is of.
+        o: (b, m) the outcome there.
+        J: (b, m, p) its slope.
+        R: (b, m) variance of what it leaves out.
     """
 
     where: Array
-    fit: LocalFit
-    entries: Indices
-
-    @property
-    def worst(self) -> Array:
-        """(b,) largest deviations from the target where the line touches."""
-        return np.asarray(np.abs(self.fit.o).max(axis=1))
-
-    def at(self, goal: Array) -> tuple[Array, Array]:
-        """Outcomes (b, m) at goals (b, p), and their standard deviations (b, m)."""
-        return self.fit.at(goal - self.where)
+    o: Array
+    J: Array
+    R: Array
 
     def of(self, which: Indices) -> OutcomeLine:
         """That at some of the states."""
-        return OutcomeLine(self.where[which], self.fit.of(which), self.entries)
+        return OutcomeLine(self.where[which], self.o[which], self.J[which], self.R[which])
 
 
 @final
@@ -68,14 +57,14 @@ class Posterior:
         spread: (b, p) square roots of s2.
         J: (b, m, p).
         G: (b, p, m).
-        noise: (b, m) square roots of R.
+        R: (b, m).
     """
 
     g: Array
     spread: Array
     J: Array
     G: Array
-    noise: Array
+    R: Array
 
     def deviations(self, normal: Array) -> Array:
         """Deviations (b, a, p) from g with covariance P', of standard normal numbers (b, a, p + m).
@@ -85,64 +74,46 @@ class Posterior:
         """
         p = self.g.shape[1]
         prior = normal[..., :p] * self.spread[:, None]
-        error = normal[..., p:] * self.noise[:, None]
+        error = normal[..., p:] * np.sqrt(self.R)[:, None]
         return np.asarray(prior - (prior @ self.J.swapaxes(1, 2) + error) @ self.G.swapaxes(1, 2))
 
     def of(self, which: Indices) -> Posterior:
         """That at some of the states."""
-        return Posterior(*(part[which] for part in (self.g, self.spread, self.J, self.G, self.noise)))
+        return Posterior(*(part[which] for part in (self.g, self.spread, self.J, self.G, self.R)))
 
-
-def linearise(
-    trials: ObservedTrials, scales: OutcomeScales, groups: Sequence[int], x: Array, count: int
-) -> OutcomeLine:
-    """Fits every group to its `count` trials nearest to each x.
-
-    Args:
-        trials: What is searched.
-        scales: The task's units.
-        groups: Which groups are modelled, at least one.
-        x: (b, d + p) trials in the metric.
-        count: Neighbours.
-    """
-    p = len(scales.scales)
-    fits, together = [], []
-    for counted, sets in _sets(trials, groups, count):
-        near = nearest(trials, x, [one[0] for one in sets], counted)
-        entries = [np.concatenate([scales.groups[group] for group in one]) for one in sets]
-        outcomes = [trials.Y[rows[:, :, None], own] for rows, own in zip(near.rows, entries, strict=True)]
-        fits.append(fit_locally(near, outcomes, p))
-        together += entries
-    return OutcomeLine(x[:, -p:] / GOAL_SHARE, reduce(LocalFit.beside, fits), np.concatenate(together))
-
-
-def _sets(trials: ObservedTrials, groups: Sequence[int], count: int) -> Iterable[tuple[int, list[list[int]]]]:
-    """Numbers of neighbours, and for each the groups that have so many; those observed in the same trials together."""
-    everywhere = [group for group in groups if trials.hidden[group] is None]
-    together = [everywhere] if everywhere else []
-    sets: dict[int, list[list[int]]] = {}
-    for one in together + [[group] for group in groups if group not in everywhere]:
-        sets.setdefault(min(count, trials.counts[one[0]]), []).append(one)
-    return sets.items()
+    def put(self, which: Indices, other: Posterior) -> None:
+        """Replaces some of the states by those of `other`."""
+        for own, new in ((self.g, other.g), (self.J, other.J), (self.G, other.G), (self.R, other.R)):
+            own[which] = new
 
 
 def condition(mean: Array, spread: Array, line: OutcomeLine) -> Posterior:
     """The priors N(mean, diag(spread^2)), given that the outcome is the target  [Rasmussen2006, A.6].
-
-    R is one squared tolerance and the variance of the residuals, more where neighbours say little.
 
     Args:
         mean: (b, p) mean goals.
         spread: (b, p) their standard deviations.
         line: The outcome at b states.
     """
-    fit, J = line.fit, line.fit.J
-    R = fit.variance * (1.0 + fit.leverage) + 1.0
+    J = line.J
     JP = J * (spread * spread)[:, None]
     S = JP @ J.swapaxes(1, 2)
     diagonal = S.reshape(len(S), -1)[:, :: S.shape[1] + 1]
-    diagonal += R + _ROUNDING * diagonal.max(axis=1, keepdims=True)
+    diagonal += line.R + _ROUNDING * diagonal.max(axis=1, keepdims=True)
     M = inverse_factor(S)
     G = (M.swapaxes(1, 2) @ (M @ JP)).swapaxes(1, 2)
-    g = mean - times(G, fit.o + times(J, mean - line.where))
-    return Posterior(g, spread, J, G, np.sqrt(R))
+    expected = line.o + (J @ (mean - line.where)[..., None])[..., 0]
+    return Posterior(mean - (G @ expected[..., None])[..., 0], spread, J, G, line.R)
+
+
+def condition_within(mean: Array, spread: Array, line: OutcomeLine, scales: OutcomeScales) -> Posterior:
+    """The same with a mean within the bounds: what sticks out is held at its bound, and the rest makes up for it."""
+    posterior = condition(mean, spread, line)
+    g = scales.within(posterior.g)
+    beyond = g != posterior.g
+    if beyond.any():
+        rows = np.flatnonzero(beyond.any(axis=1))
+        held, fixed = beyond[rows], g[rows]
+        mean, spread = np.where(held, fixed, mean[rows]), np.where(held, 0.0, spread[rows])
+        g[rows] = scales.within(condition(mean, spread, line.of(rows)).g)
+    return replace(posterior, g=g)

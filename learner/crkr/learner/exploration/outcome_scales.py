@@ -16,7 +16,8 @@ __all__ = ["GOAL_SHARE", "OutcomeScales"]
 
 GOAL_SHARE: Final = 0.5  # a goal's scale counts as half a length-scale of the state
 _FARTHEST: Final = 1e50  # as of standardised states: squares and products stay finite
-_LARGEST: Final = 1e9  # tolerances; a measurement farther off says no more than this one
+_SIDES: Final = {"equal": 0.0, "at_least": 1.0, "at_most": -1.0}
+_LARGEST: Final = 1e6  # tolerances; a measurement farther off says no more than this one
 
 
 @final
@@ -34,6 +35,7 @@ class OutcomeScales:
         target: (q,) [units of the outcome].
         tolerance: (q,) [units of the outcome].
         groups: For each group of entries that are observed together, which they are.
+        one_sided: (q,) +1 for entries that may exceed their target, -1 for those that may fall short of it, else 0.
     """
 
     metric: Kernel
@@ -44,6 +46,7 @@ class OutcomeScales:
     target: Array
     tolerance: Array
     groups: tuple[Indices, ...]
+    one_sided: Array
 
     @classmethod
     def of(cls, spec: TaskSpec) -> OutcomeScales:
@@ -60,6 +63,7 @@ class OutcomeScales:
             high=_bounded((high - middle) / spec.scales),
             target=np.array([entry.target for entry in spec.outcome]),
             tolerance=np.array([entry.tolerance for entry in spec.outcome]),
+            one_sided=np.array([_SIDES[entry.aim] for entry in spec.outcome]),
             groups=tuple(np.flatnonzero([name == one for name in names]) for one in dict.fromkeys(names)),
         )
 

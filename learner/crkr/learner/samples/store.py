@@ -20,6 +20,7 @@ __all__ = ["SampleStore"]
 _TRIAL: Final = KINDS.index("trial")
 _DEMONSTRATION: Final = KINDS.index("demonstration")
 _EVALUATION: Final = KINDS.index("evaluation")
+_FAILED: Final = KINDS.index("failed")
 
 
 @final
@@ -165,15 +166,47 @@ class SampleStore:
         eligible: NDArray[np.bool_] = (tried | (kinds == _DEMONSTRATION)) & ~self._removed.rows[rows]
         return eligible
 
-    def executed(self, rows: Indices) -> NDArray[np.bool_]:
+    def tried(self, rows: Indices) -> NDArray[np.bool_]:
         """Which of these rows may tell what a goal leads to: all but the judged and the removed ones."""
         judged = self._kinds.rows[rows] == _EVALUATION
-        executed: NDArray[np.bool_] = ~(judged | self._removed.rows[rows])
-        return executed
+        tried: NDArray[np.bool_] = ~(judged | self._removed.rows[rows])
+        return tried
+
+    def refused(self, rows: Indices) -> NDArray[np.bool_]:
+        """Which of these rows are goals that were refused or could not be measured (kind "failed")."""
+        refused: NDArray[np.bool_] = self._kinds.rows[rows] == _FAILED
+        return refused
+
+    def successes(self, rows: Indices) -> NDArray[np.bool_]:
+        """Which of these rows did what was wanted."""
+        success: NDArray[np.bool_] = self._success.rows[rows]
+        return success
+
+    def newest_tried(self, count: int) -> Indices:
+        """Rows of the newest trials, executed or refused, that are not removed; at most `count`, ascending."""
+        found: list[Indices] = []
+        missing, end = count, len(self)
+        while missing > 0 and end > 0:
+            rows = np.arange(max(0, end - 2 * count), end)
+            kinds = self._kinds.rows[rows]
+            rows = rows[((kinds == _TRIAL) | (kinds == _FAILED)) & ~self._removed.rows[rows]]
+            found.insert(0, rows[-missing:])
+            missing, end = missing - len(rows), end - 2 * count
+        return np.concatenate(found) if found else np.zeros(0, dtype=np.int64)
+
+    def count_tried(self, rows: Indices) -> int:
+        """How many of these rows are trials, executed or refused."""
+        kinds = self._kinds.rows[rows]
+        return int(np.count_nonzero((kinds == _TRIAL) | (kinds == _FAILED)))
 
     def demonstrations(self) -> Indices:
         """Rows of the demonstrations that are not removed."""
         return np.flatnonzero((self._kinds.rows == _DEMONSTRATION) & ~self._removed.rows)
+
+    def demonstrated(self, rows: Indices) -> NDArray[np.bool_]:
+        """Which of these rows are demonstrations."""
+        demonstrated: NDArray[np.bool_] = self._kinds.rows[rows] == _DEMONSTRATION
+        return demonstrated
 
     def is_demonstration(self, row: int) -> bool:
         """Whether this row is one."""

@@ -23,6 +23,7 @@ _ROWS: Final = (
     "means",
     "sigmas",
     "novelty",
+    "success_probability",
     "predicted_outcome",
     "predicted_outcome_sd",
     "corrected",
@@ -132,6 +133,8 @@ class Prediction:
         compute_us: Time of the model itself [us], 0 where not measured.
         corrected: () or (b,) flags: whose goal was moved from its mean because of the outcome expected there. Not sent:
             over the network `policy` says it of all. None where outcomes are not modelled.
+        success_probability: () or (b,) how likely the goals succeed, NaN where nothing is known; None from a server of
+            version 0.1.
     """
 
     states: Array
@@ -147,6 +150,7 @@ class Prediction:
     predicted_outcome_sd: Array | None = None
     compute_us: int = 0
     corrected: NDArray[np.bool_] | None = None
+    success_probability: Array | None = None
 
     @property
     def goal(self) -> Array:
@@ -209,12 +213,14 @@ class Prediction:
                 "means",
                 "sigmas",
                 "novelty",
+                "success_probability",
                 "trial_ids",
                 "model_version",
                 "active",
                 "policy",
                 "compute_us",
             )
+            if getattr(self, name) is not None
         }
         if self.predicted_outcome is not None:
             message["predicted_outcome"] = self.predicted_outcome
@@ -242,4 +248,5 @@ class Prediction:
             predicted_outcome=array("predicted_outcome") if modelled else None,
             predicted_outcome_sd=array("predicted_outcome_sd") if modelled else None,
             compute_us=integer(message.get("compute_us", 0), "compute_us"),
+            success_probability=array("success_probability") if "success_probability" in message else None,
         )

@@ -20,7 +20,8 @@ from crkr.protocol.messages.predict import Prediction
 
 __all__ = ["Question", "packed_question", "packed_rows", "read_answer", "read_question", "state_bytes"]
 
-_BEFORE: Final = ("goals", "means", "sigmas", "novelty")
+_BEFORE: Final = ("goals", "means", "sigmas", "novelty", "success_probability")
+_SCALARS: Final = frozenset(_BEFORE[3:])
 _AFTER: Final = ("predicted_outcome", "predicted_outcome_sd")
 
 
@@ -119,21 +120,24 @@ def read_answer(data: bytes, state: Array, outputs: int) -> Prediction | None:
     if scalars is None or compute_us is None:
         return None
     numbers = np.frombuffer(b"".join(parts), "<f8")
-    goals, means, sigmas, novelty = (
+    goals, means, sigmas, (novelty, chance) = (
         numbers[:outputs],
         numbers[outputs : 2 * outputs],
         numbers[2 * outputs : 3 * outputs],
-        numbers[3 * outputs :].reshape(()),
+        numbers[3 * outputs :].reshape(2, 1),
     )
-    return Prediction(state, goals, means, sigmas, novelty, [UUID(bytes=trial_id)], *scalars, compute_us=compute_us)
+    return Prediction(
+        state, goals, means, sigmas, novelty.reshape(()), [UUID(bytes=trial_id)], *scalars, compute_us=compute_us,
+        success_probability=chance.reshape(()),
+    )  # fmt: skip
 
 
 @lru_cache(64)
 def _answer_form(outputs: int) -> re.Pattern[bytes]:
-    """Groups: goals, means, sigmas, novelty, the id, what all answers of a model share, the model's time."""
-    form = rb"\x89"
+    """Groups: the arrays of `_BEFORE`, the id, what all answers of a model share, the model's time."""
+    form = rb"\x8a"
     for name in _BEFORE:
-        scalar = name == "novelty"
+        scalar = name in _SCALARS
         width = 8 if scalar else 8 * outputs
         form += rb"%b(.{%d})" % (re.escape(_array_head(name, width, scalar)), width)
     tail = rb"%b(.{16})(.{1,128})%b(.{1,9})" % (re.escape(_ID_HEAD), re.escape(_entry("compute_us", 0)[:-1]))
@@ -185,7 +189,8 @@ def packed_rows(answer: Prediction, ids: Sequence[bytes], compute_us: int) -> It
     if answer.policy == "corrected" and answer.corrected is not None:  # of some goals only
         uncorrected = _scalars(answer.model_version, answer.active, "mean") + last
         tails = [tail if one else uncorrected for one in np.ravel(answer.corrected).tolist()]
-    columns = [_column(name, getattr(answer, name), len(ids)) for name in _BEFORE]
+    known = [name for name in _BEFORE if getattr(answer, name) is not None]
+    columns = [_column(name, getattr(answer, name), len(ids)) for name in known]
     modelled = answer.predicted_outcome is not None
     after = _AFTER if modelled else ()
     outcomes = [_column(name, getattr(answer, name), len(ids)) for name in after]
@@ -204,7 +209,7 @@ def _column(name: str, array: Array, count: int) -> tuple[bytes, bytes, int]:
     """What stands before each row's bytes, the bytes of all rows, and how many there are in a row."""
     data = array.astype("<f8", copy=False).tobytes()
     width = len(data) // count
-    scalar = array.ndim == 0 or (array.ndim == 1 and width == 8 and name == "novelty")
+    scalar = array.ndim == 0 or (array.ndim == 1 and width == 8 and name in _SCALARS)
     return _array_head(name, width, scalar), data, width
 
 

@@ -11,10 +11,11 @@ from crkr.protocol.codec import MAX_MESSAGE_BYTES, MAX_STATES
 from crkr.protocol.errors import Invalid
 from crkr.protocol.specification.task_spec import TaskSpec
 
-__all__ = ["check_model_fits", "most_active", "most_states", "most_states_answered"]
+__all__ = ["MOST_RECENT", "check_model_fits", "most_active", "most_states", "most_states_answered"]
 
 _NUMBER: Final = 8
 _ID: Final = 18  # with its header
+MOST_RECENT: Final = 200  # newest trials in a model
 _REST: Final = 4096  # names of fields, and what comes once in a message
 
 
@@ -25,7 +26,7 @@ def most_states_answered(outputs: int, measured: int) -> int:
         outputs: p.
         measured: q where outcomes guide the goals, so that an answer predicts them; else 0.
     """
-    numbers = 3 * outputs + 1 + 2 * measured  # goals, means, sigmas, novelty; a predicted outcome and its deviation
+    numbers = 3 * outputs + 2 + 2 * measured  # goals, means, sigmas, novelty, P(success); outcomes, deviations
     return min((MAX_MESSAGE_BYTES - _REST) // (_NUMBER * numbers + _ID), MAX_STATES)
 
 
@@ -37,7 +38,8 @@ def most_states(spec: TaskSpec) -> int:
 
 def most_active(states: int, goals: int) -> int:
     """Active samples of a model that fits into one answer, for d = `states` and p = `goals`."""
-    once = _REST + _NUMBER * (2 * states + 4 * goals)  # the settings
+    recent = MOST_RECENT * (states + 1)  # trials that tell how likely a success is
+    once = _REST + _NUMBER * (2 * states + 4 * goals + recent)  # the settings
     return (MAX_MESSAGE_BYTES - once) // (_NUMBER * (states + goals + 1) + _ID)
 
 

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, final
+from typing import Any, Final, final
 
-from crkr.protocol.checks import number, text
+from crkr.protocol.checks import choice, number, text
 from crkr.protocol.errors import Invalid
 
 __all__ = ["GoalDimension", "OutcomeEntry", "StateDimension"]
+
+AIMS: Final = ("equal", "at_least", "at_most")
 
 
 def _given(entry: Mapping[str, Any], field: str, where: str) -> Any:
@@ -104,6 +106,7 @@ class OutcomeEntry:
         target: What a perfect trial measures [unit].
         tolerance: Deviation from the target that still succeeds [unit].
         group: Entries of one group are observed together.
+        aim: "equal" to the target; or "at_least" or "at_most" it, where more or less is as good, as of a clearance.
     """
 
     name: str
@@ -111,6 +114,7 @@ class OutcomeEntry:
     target: float
     tolerance: float
     group: str
+    aim: str = "equal"
 
     @classmethod
     def from_dict(cls, entry: object, where: str) -> OutcomeEntry:
@@ -119,4 +123,5 @@ class OutcomeEntry:
         target = number(entry.get("target", 0.0), f"{where}.target")
         tolerance = number(_given(entry, "tolerance", where), f"{where}.tolerance", above=0.0)
         group = text(entry.get("group", name), f"{where}.group", longest=64)
-        return cls(name, unit, target, tolerance, group)
+        aim = choice(entry.get("aim", "equal"), f"{where}.aim", AIMS)
+        return cls(name, unit, target, tolerance, group, aim)

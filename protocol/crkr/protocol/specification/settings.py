@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final, final
 
-from crkr.protocol.checks import choice, integer, number
+from crkr.protocol.checks import choice, flag, integer, number
 from crkr.protocol.errors import Invalid, shown
 
-__all__ = ["LARGEST", "Exploration", "KernelSettings"]
+__all__ = ["EARLIER_EXPLORATION", "LARGEST", "Exploration", "KernelSettings", "Start"]
 
 LARGEST: Final = 1e6  # of a setting in scaled units: beyond, products overflow and answers stop being numbers
 MOST_TRIALS: Final = 20_000  # that are searched for the nearest
@@ -56,33 +56,72 @@ class Exploration:
         type: "gaussian" (the paper) or "outcome" (guided by measured outcomes).
         trust: Standard deviations of the mean that the outcome model may move it.
         temperature: Scales of the draw, one chosen per trial.
-        neighbours: Executed trials that each local outcome model is fitted to.
-        iterations: Linearisations of the outcome model.
+        neighbours: Trials that each local outcome model is fitted to; more than 200 count as 200.
+        iterations: Updates of the goal by the outcome model.
         min_trials: Executed trials before the outcome model is used.
         gate: Predicted outcome, in tolerances, above which the mean is corrected.
+        model: "gp", local Gaussian processes.
+        candidates: Goals that an answer without exploration is chosen among, beside the mean and the corrected one.
+        drift: Whether the outcome model restarts by itself where the robot has changed.
     """
 
     type: str = "gaussian"
     trust: float = 4.0
-    temperature: tuple[float, ...] = (0.1, 0.5)
-    neighbours: int = 60
-    iterations: int = 2
-    min_trials: int = 20
-    gate: float = 2.0
+    temperature: tuple[float, ...] = (0.02, 0.1, 0.5)
+    neighbours: int = 100
+    iterations: int = 3
+    min_trials: int = 6
+    gate: float = 1.0
+    model: str = "gp"
+    candidates: int = 32
+    drift: bool = True
 
     @classmethod
     def from_dict(cls, value: object) -> Exploration:
         """Reads a spec's `exploration`; raises `Invalid`."""
         entry = _map(value, "exploration")
-        temperatures = entry.get("temperature", [0.1, 0.5])
+        temperatures = entry.get("temperature", [0.02, 0.1, 0.5])
         if not isinstance(temperatures, list | tuple) or not temperatures:
             raise Invalid(f"exploration.temperature must be a list of numbers; got {shown(temperatures)}")
         return cls(
             choice(entry.get("type", "gaussian"), "exploration.type", ("gaussian", "outcome")),
             number(entry.get("trust", 4.0), "exploration.trust", above=0.0, high=LARGEST),
             tuple(number(item, "exploration.temperature", above=0.0, high=LARGEST) for item in temperatures),
-            integer(entry.get("neighbours", 60), "exploration.neighbours", low=1, high=MOST_TRIALS),
-            integer(entry.get("iterations", 2), "exploration.iterations", low=1, high=100),
-            integer(entry.get("min_trials", 20), "exploration.min_trials", low=1, high=MOST_TRIALS),
-            number(entry.get("gate", 2.0), "exploration.gate", low=0.0),
+            integer(entry.get("neighbours", 100), "exploration.neighbours", low=1, high=MOST_TRIALS),
+            integer(entry.get("iterations", 3), "exploration.iterations", low=1, high=100),
+            integer(entry.get("min_trials", 6), "exploration.min_trials", low=1, high=MOST_TRIALS),
+            number(entry.get("gate", 1.0), "exploration.gate", low=0.0),
+            choice(entry.get("model", "gp"), "exploration.model", ("gp",)),
+            integer(entry.get("candidates", 32), "exploration.candidates", low=0, high=1000),
+            flag(entry.get("drift", True), "exploration.drift"),
+        )
+
+
+# What version 0.1 filled in where a specification said nothing.
+EARLIER_EXPLORATION: Final = Exploration(
+    "outcome", temperature=(0.1, 0.5), neighbours=60, iterations=2, min_trials=20, gate=2.0
+)
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Start:
+    """What is explored before anything succeeded.
+
+    Attributes:
+        type: "space-filling": a low-discrepancy sequence over the goal's bounds, until outcomes or successes guide; or
+            "demonstrations": nothing, `NO_SAMPLES` asks for a demonstration.
+        count: Trials that fill space even where there is more to go by.
+    """
+
+    type: str = "space-filling"
+    count: int = 0
+
+    @classmethod
+    def from_dict(cls, value: object) -> Start:
+        """Reads a spec's `start`; raises `Invalid`."""
+        entry = _map(value, "start")
+        return cls(
+            choice(entry.get("type", "space-filling"), "start.type", ("space-filling", "demonstrations")),
+            integer(entry.get("count", 0), "start.count", low=0, high=MOST_TRIALS),
         )

@@ -15,7 +15,7 @@ from crkr.protocol.codec import Array
 from crkr.protocol.errors import Invalid
 from crkr.protocol.keys import check_name
 from crkr.protocol.specification.dimensions import GoalDimension, OutcomeEntry, StateDimension
-from crkr.protocol.specification.settings import LARGEST, Exploration, KernelSettings
+from crkr.protocol.specification.settings import EARLIER_EXPLORATION, LARGEST, Exploration, KernelSettings, Start
 
 __all__ = ["CHANGEABLE", "TaskSpec"]
 
@@ -61,6 +61,7 @@ class TaskSpec:
         novelty_limit: In [0, 1].
         selector: Which samples are active: "anms", "full" or "freeze".
         refit_every: Eligible samples between evidence fits; 0 is only on request.
+        start: What is explored before anything succeeded.
     """
 
     name: str
@@ -83,6 +84,7 @@ class TaskSpec:
     novelty_limit: float = 0.9
     selector: str = "anms"
     refit_every: int = 0
+    start: Start = field(default_factory=Start)
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any], *, strict: bool = False) -> TaskSpec:
@@ -151,6 +153,8 @@ class TaskSpec:
     def differences(self, other: TaskSpec) -> dict[str, list[Any]]:
         """Fields, description aside, in which `other` differs: name -> [this, other]."""
         mine, theirs = self.to_dict(), other.to_dict()
+        if {self.exploration, other.exploration} == {Exploration(type="outcome"), EARLIER_EXPLORATION}:
+            del mine["exploration"]  # each version filled in its own defaults
         return {
             name: [mine[name], theirs[name]] for name in mine if name != "description" and mine[name] != theirs[name]
         }
@@ -218,4 +222,5 @@ _SCALARS: Final[Mapping[str, Callable[[object], Any]]] = {
     "novelty_limit": lambda value: number(value, "novelty_limit", low=0.0, high=1.0),
     "selector": lambda value: choice(value, "selector", ("anms", "full", "freeze")),
     "refit_every": lambda value: integer(value, "refit_every"),
+    "start": Start.from_dict,
 }

@@ -42,6 +42,8 @@ def apply_entries(learner: Learner, entries: Sequence[LoggedTrial] | Event) -> A
             return learner.apply_configure(seq, body["changes"])
         case "fit":
             return learner.apply_fit(seq, body["lengthscales"], body["signal_variance"])
+        case "restart":
+            return learner.apply_restart(seq)
         case "archive":
             return learner.apply_configure(seq, {})  # changes nothing but the position
         case "create":  # the learner was made from it

@@ -39,6 +39,8 @@ class ServedTask:
         samples: Stored trials by kind, removed ones too.
         eligible: Trials that may be learned from.
         fault: Why learning stopped, "" while it goes on.
+        restarting: A restart of its outcome model is in the log and not learned yet.
+        drift: How far outcomes are from what was expected; None where none are modelled.
         restored: Its log was replayed to the end; else `fault` says why not, and only what is stored can be looked at.
         damage: What is wrong with a stored row that no prediction rests on, "" where nothing was found.
         log_id: Names the log that begins with this task's creation, whichever server reads it.
@@ -52,11 +54,13 @@ class ServedTask:
         "created",
         "damage",
         "dimensions",
+        "drift",
         "eligible",
         "fault",
         "learner",
         "log_id",
         "model",
+        "restarting",
         "restored",
         "samples",
         "seq",
@@ -67,6 +71,7 @@ class ServedTask:
         self.created: Final = spec
         self.dimensions: Final = len(spec.state)
         self.learner = Learner(spec)
+        self.drift = self.learner.drift
         self.model: Model = self.learner.model
         self.spec = self.agreed = spec
         self.seq = self.configured = 1
@@ -75,6 +80,7 @@ class ServedTask:
         self.eligible = 0
         self.fault = self.damage = ""
         self.restored = True
+        self.restarting = False
         self.log_id = UUID(int=0)
         self._packed: tuple[TaskSpec, bytes] | None = None
 
@@ -113,6 +119,7 @@ class ServedTask:
 
     def publish(self) -> None:
         """Makes what the learner knows the policy that answers."""
+        self.drift = self.learner.drift
         self.spec, self.model, self.eligible = self.learner.spec, self.learner.model, self.learner.eligible
 
 

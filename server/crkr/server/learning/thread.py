@@ -83,14 +83,17 @@ class Learning:
     Args:
         notice: Told of each new model: task, the one before, the new one. Two threads may, of different tasks.
         due: Told of each task whose settings ask for a fit now.
+        drifted: Told of each task whose robot has changed, once before the restart of its outcome model is learned.
 
     Attributes:
         steps: How long it took to learn what was learned together, the new model included.
     """
 
-    def __init__(self, notice: Notice, due: Callable[[ServedTask], None]) -> None:
+    def __init__(
+        self, notice: Notice, due: Callable[[ServedTask], None], drifted: Callable[[ServedTask], None]
+    ) -> None:
         self.steps: Final = Durations()
-        self._notice, self._due = notice, due
+        self._notice, self._due, self._drifted = notice, due, drifted
         self._lines: dict[str, _Line] = {}  # of the tasks that have waiting steps, are held, or were long
         self._lock = threading.Lock()
         self._turns = (_Turns(self._lock), _Turns(self._lock))  # of the first thread, and of the second
@@ -258,6 +261,9 @@ class Learning:
             self._notice(task, before, task.model)
             if task.learner.refit_due:
                 self._due(task)
+            if task.drift is not None and task.drift.due and not task.restarting:
+                task.restarting = True
+                self._drifted(task)
 
 
 def _learn(task: ServedTask, group: list[_Step], steps: Durations) -> Any:
@@ -272,6 +278,8 @@ def _learn(task: ServedTask, group: list[_Step], steps: Durations) -> Any:
     with steps.timing():
         result = apply_entries(task.learner, entries)
         task.publish()
+        if isinstance(entries, Event) and entries.kind == "restart":
+            task.restarting = False
     return result
 
 

@@ -158,6 +158,9 @@ class Reader:
         for name, trouble in (("fault", task.fault), ("damage", task.damage)):
             if trouble:
                 status[name] = trouble[:_LONGEST]
+        if task.drift is not None:
+            own = task.drift
+            status["drift"] = {"restarts": own.restarts, "last_seq": own.last_seq, "score": own.score}
         if advice := _advice(task):
             status["advice"] = advice
         if threads := FAULTS.summary():

@@ -189,6 +189,17 @@ class Writer:
                 raise Conflict(f"task {task.name!r} was configured anew meanwhile; ask again")
             self._commit_change(task, change, request)
 
+    def restart(self, task: ServedTask) -> None:
+        """Commits that the robot has changed: the outcome model restarts from the newest trials. For learning."""
+        with self._order:
+            if task.archived:
+                return
+            with self.commits.timing():
+                event = self._log.append_event(task.name, "restart", {})
+            task.note(event)
+            logger.warning("task %s: the robot has changed; outcomes are learned anew from %d", task.name, event.seq)
+            self._learning.submit(task, event, None)
+
     def _commit_change(self, task: ServedTask, change: Change, request: Job) -> None:
         if task.archived and change.kind == "archive":  # asked again, perhaps because the answer was lost
             self._await(task, (), task.seq, change, request)

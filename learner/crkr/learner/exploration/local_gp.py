@@ -1,0 +1,156 @@
+"""Gaussian-process regression near each of several points, on the trials nearest to it  [Rasmussen2006, alg. 2.1].
+
+    x  (r,)    a point: a trial in the metric of `OutcomeScales`     a  (p,)    a step from x that changes the goal only
+    D  (k, r)  its k neighbours minus x                               Y  (k, m)  what was observed in them
+    K  (k, k)  kernel of the rows of D plus noise, K = L L'           M  (k, k)  L^-1
+    alpha  (k, m)  K^-1 Y
+
+Every array has b points in front. A point's numbers do not depend on which other points are computed with it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, final
+
+import numpy as np
+from scipy.linalg import lapack
+
+from crkr.learner.selection.anms_batch import Indices
+from crkr.protocol import Array
+
+__all__ = ["LocalGP", "StepKernel", "inverse_factor"]
+
+_FARTHEST: Final = 1e3  # length of a row of D; longer ones are shortened, so that K always factors
+_PRIOR_TRIALS: Final = 10.0  # weight of "the amplitude is 1" against the trials; a few perfect ones are not certainty
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class StepKernel:
+    """k(a, b) = constant + linear a.b + bend exp(-|a - b|^2 / (2 reach^2)), for steps from the point.
+
+    Far from data it is a straight line, near by it may bend.
+
+    Attributes:
+        constant: Prior variance at the point.
+        linear: Of each slope.
+        bend: Of what is not straight.
+        reach: Over which it bends, in the metric.
+        noise: Variance of one observation.
+    """
+
+    constant: float
+    linear: float
+    bend: float
+    reach: float
+    noise: float
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class LocalGP:
+    """Regression near b points; made by `fit`.
+
+    Attributes:
+        kernel: Its prior.
+        D: (b, k, p) goal part of the neighbours minus the point.
+        squares: (b, k) their whole squared length.
+        alpha: (b, k, m).
+        M: (b, k, k).
+        amplitude: (b, m) by which the prior's variances are multiplied for each entry.
+    """
+
+    kernel: StepKernel
+    D: Array
+    squares: Array
+    alpha: Array
+    M: Array
+    amplitude: Array
+
+    @classmethod
+    def fit(cls, kernel: StepKernel, D: Array, Y: Array, p: int, noise: Array | None = None) -> LocalGP:
+        """Regression on the neighbours of each point.
+
+        The prior is scaled for each entry by the evidence-maximising amplitude, drawn towards 1 as if by ten more
+        trials.
+
+        Args:
+            kernel: The prior.
+            D: (b, k, r) neighbours minus their point, k >= 1.
+            Y: (b, k, m) what was observed.
+            p: How many of the r coordinates, at the end, are the goal's.
+            noise: (b, k) variance of each observation; None: the kernel's.
+        """
+        squares = np.vecdot(D, D)
+        if squares.max() > _FARTHEST**2:
+            D = D * np.minimum(1.0, _FARTHEST / np.sqrt(np.maximum(squares, _FARTHEST**2)))[..., None]
+            squares = np.vecdot(D, D)
+        K = D @ D.swapaxes(1, 2)
+        apart = squares[:, :, None] + squares[:, None] - 2.0 * K
+        K *= kernel.linear
+        K += kernel.constant
+        K += _bend(kernel, apart)
+        k = K.shape[1]
+        diagonal = K.reshape(len(K), -1)[:, :: k + 1]
+        diagonal += kernel.noise if noise is None else noise
+        M = inverse_factor(K)
+        W = M @ Y
+        amplitude = ((W * W).sum(axis=1) + _PRIOR_TRIALS) / (k + _PRIOR_TRIALS)
+        return cls(kernel, D[..., -p:], squares, M.swapaxes(1, 2) @ W, M, amplitude)
+
+    def mean(self, steps: Array) -> Array:
+        """(b, c, m) expectations at steps (b, c, p)."""
+        return np.asarray(self._cross(steps)[0] @ self.alpha)
+
+    def at(self, steps: Array) -> tuple[Array, Array]:
+        """Expectations (b, c, m) at steps (b, c, p) and variances (b, c, m) of an observation there."""
+        cross, lengths = self._cross(steps)
+        V = cross @ self.M.swapaxes(1, 2)
+        own = self.kernel
+        prior = own.constant + own.bend + own.linear * lengths
+        rest = np.maximum(prior - np.vecdot(V, V), 0.0) + own.noise
+        return cross @ self.alpha, rest[..., None] * self.amplitude[:, None]
+
+    def slope(self, step: Array) -> Array:
+        """(b, m, p) change of the expectations with the goal's coordinates in the metric, at steps (b, p)."""
+        cross = self.D @ step[..., None]
+        bend = _bend(self.kernel, self.squares + np.vecdot(step, step)[:, None] - 2.0 * cross[..., 0])
+        bend /= self.kernel.reach**2
+        weighted = self.alpha * (self.kernel.linear + bend)[..., None]
+        pull = (self.alpha * bend[..., None]).sum(axis=1)
+        return np.asarray(weighted.swapaxes(1, 2) @ self.D - pull[..., None] * step[:, None])
+
+    def of(self, which: Indices) -> LocalGP:
+        """That near some of the points."""
+        parts = (part[which] for part in (self.D, self.squares, self.alpha, self.M, self.amplitude))
+        return LocalGP(self.kernel, *parts)
+
+    def _cross(self, steps: Array) -> tuple[Array, Array]:
+        """Kernel (b, c, k) between steps and neighbours, and the steps' squared lengths (b, c)."""
+        cross, lengths = steps @ self.D.swapaxes(1, 2), np.vecdot(steps, steps)
+        bend = _bend(self.kernel, self.squares[:, None] + lengths[..., None] - 2.0 * cross)
+        cross *= self.kernel.linear
+        cross += self.kernel.constant
+        cross += bend
+        return cross, lengths
+
+
+def _bend(kernel: StepKernel, squared: Array) -> Array:
+    """The bending part of the kernel at squared distances, which rounding may have made slightly negative."""
+    squared = np.maximum(squared, 0.0, out=squared)
+    squared *= -0.5 / kernel.reach**2
+    np.exp(squared, out=squared)
+    squared *= kernel.bend
+    return squared
+
+
+def inverse_factor(A: Array) -> Array:
+    """Inverses (..., r, r) of the lower Cholesky factors of A (..., r, r), which is used up.
+
+    They serve for all right-hand sides, and the matrices are small and far enough from singular for that.
+    """
+    for one in A.reshape(-1, *A.shape[-2:]):
+        L, _ = lapack.dpotrf(one.T, lower=1, clean=1, overwrite_a=1)
+        lapack.dtrtri(L, lower=1, overwrite_c=1)
+    return A.swapaxes(-1, -2)

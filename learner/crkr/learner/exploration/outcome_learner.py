@@ -1,0 +1,129 @@
+"""The outcome model as trials come and go: the index followed, and an explorer for the next model."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Final, final
+
+import numpy as np
+
+from crkr.learner.exploration.outcome_explorer import OutcomeExplorer
+from crkr.learner.exploration.outcome_index import ObservedTrials, OutcomeIndex
+from crkr.learner.exploration.outcome_scales import OutcomeScales
+from crkr.learner.exploration.prequential import (
+    LOOKED_BACK,
+    Calibration,
+    DeferredCalibration,
+    PrequentialRecord,
+)
+from crkr.learner.samples.store import SampleStore
+from crkr.learner.selection.anms_batch import Indices
+from crkr.protocol import TaskSpec
+
+__all__ = ["Drift", "OutcomeLearner"]
+
+_KEPT_AT_DRIFT: Final = 8  # trials that show the change; older ones are of the robot as it was
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Drift:
+    """Whether the robot changes under the outcome model.
+
+    Attributes:
+        restarts: How often the outcome model was restarted.
+        last_seq: Log position of the last restart; None: there was none.
+        score: CUSUM of the squared standardised residuals; above 12 the model is restarted.
+        due: Whether it should be restarted now.
+    """
+
+    restarts: int
+    last_seq: int | None
+    score: float
+    due: bool
+
+
+@final
+class OutcomeLearner:
+    """Keeps the explorer that the store's trials call for.
+
+    Args:
+        spec: The task as created.
+        store: The trials.
+
+    Attributes:
+        explorer: The present one; another object whenever its trials change.
+    """
+
+    def __init__(self, spec: TaskSpec, store: SampleStore) -> None:
+        self._store, self._settings, self._scales = store, spec.exploration, OutcomeScales.of(spec)
+        self._index = OutcomeIndex(self._scales, store)
+        self._record = PrequentialRecord(self._settings, self._scales)
+        self._behind: list[tuple[ObservedTrials, ObservedTrials]] = []  # that the record has still to note
+        self._restarts = 0
+        self._last_restart: int | None = None
+        self.explorer = OutcomeExplorer.of(spec, self._scales, self._index.snapshot())
+
+    @property
+    def drift(self) -> Drift:
+        """How far the newest trials are from what was expected of them."""
+        record = self._record
+        return Drift(self._restarts, self._last_restart, record.drift_score, self._settings.drift and record.drifted)
+
+    def extend(self, rows: Indices) -> None:
+        """Learn from new rows of the store."""
+        new = len(self._index.usable(rows))
+        if not new:
+            return
+        self._index.extend(rows)
+        self._record.extend([*self._behind, *self._steps(new)])
+        self._behind = []
+        self._renew(self._record.calibration)
+
+    def remove(self, rows: Sequence[int]) -> None:
+        """Rows were removed from learning; start again without them."""
+        if any(self._index.holds(row) for row in rows):
+            self.rebuild()
+
+    def rebuild(self) -> None:
+        """Start again from the store. What the newest trials were expected to do is worked out when it is needed."""
+        usable = self._index.usable(np.arange(len(self._store)))
+        self._index.rebuild(usable)
+        tried = usable[~self._store.demonstrated(usable)]
+        looked_back = min(LOOKED_BACK, len(tried))
+        first = int(np.searchsorted(usable, tried[-looked_back])) if looked_back else len(usable)
+        self._behind = self._steps(len(usable) - first)
+        self._record = PrequentialRecord(self._settings, self._scales, len(tried) - looked_back)
+        settings, scales, count, behind = self._settings, self._scales, len(tried) - looked_back, self._behind
+
+        def calibration() -> Calibration:
+            record = PrequentialRecord(settings, scales, count)
+            record.extend(behind)
+            return record.calibration
+
+        self._renew(DeferredCalibration(calibration))
+
+    def restart(self, seq: int, *, rebuild: bool) -> None:
+        """Forget all but the newest trials: the robot has changed.
+
+        Args:
+            seq: Log position of the event.
+            rebuild: Make the model anew; False where `rebuild` will be called.
+        """
+        usable = self._index.usable(np.arange(len(self._store)))
+        self._index.start = int(usable[-_KEPT_AT_DRIFT:][0]) if len(usable) else 0
+        self._restarts, self._last_restart = self._restarts + 1, seq
+        if rebuild:
+            self.rebuild()
+
+    def _renew(self, calibration: Calibration | DeferredCalibration) -> None:
+        changed = self._restarts > 0
+        self.explorer = self.explorer.with_trials(self._index.snapshot(), calibration, changed=changed)
+
+    def _steps(self, count: int) -> list[tuple[ObservedTrials, ObservedTrials]]:
+        """What was at hand before and after each of the newest trials."""
+        end = len(self._index)
+        views = [self._index.before(position) for position in range(end - count, end + 1)]
+        return list(pairwise(views))

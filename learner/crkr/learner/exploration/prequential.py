@@ -1,0 +1,196 @@
+"""What each trial was expected to do before it was learned from: prequential predictions [Dawid1984].
+
+They say how far the outcome model may be believed: a success curve and the spread of predicted outcomes are fitted to
+them, and a change of the robot shows in their residuals. A trial's prediction rests on the trials before it in the log
+only, so that it does not matter how trials were grouped on their way here.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Final, NamedTuple, final
+
+import numpy as np
+
+from crkr.learner.exploration.outcome_index import ObservedTrials
+from crkr.learner.exploration.outcome_model import OutcomeModel, Prospect
+from crkr.learner.exploration.outcome_scales import GOAL_SHARE, OutcomeScales
+from crkr.learner.exploration.success import SuccessCurve
+from crkr.protocol import Array, Exploration
+
+__all__ = ["LOOKED_BACK", "Calibration", "DeferredCalibration", "PrequentialRecord", "features"]
+
+_KEPT: Final = 400
+_FITTED: Final = 200  # newest trials that the calibration is fitted to
+_EVERY: Final = 10  # trials between two fits of it
+LOOKED_BACK: Final = _FITTED + _EVERY  # trials that decide the present calibration
+_PRIOR: Final = np.array([2.0, 1.0, 0.0, 1.0])  # of the curve's weights
+_SPREAD: Final = 1.5
+_FEWEST: Final = 20  # residuals of an entry, below which its standard deviation is taken as it is
+_NORMAL_90: Final = 1.6449
+_SPREADS: Final = (0.1, 10.0)
+
+# The CUSUM of the squared standardised residuals. Constants as in docs/outcomes.md.
+_RESIDUAL_NOISE: Final = 0.05
+_LARGEST: Final = 9.0
+_NEWEST: Final = 20  # not part of what is usual
+_SETTLED: Final = 10  # of what is usual, before which nothing is watched
+_ALLOWANCE: Final = 1.5
+_LEAST_USUAL: Final = 0.5
+_ALARM: Final = 12.0
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Calibration:
+    """How far the outcome model may be believed.
+
+    Attributes:
+        curve: Tells P(success) of what a goal is expected to lead to; None: not known yet.
+        spread: (q,) factors that calibrate the predicted standard deviations; None: they are taken as they are.
+    """
+
+    curve: SuccessCurve | None = None
+    spread: Array | None = None
+
+    def get(self) -> Calibration:
+        """Itself."""
+        return self
+
+
+@final
+class DeferredCalibration:
+    """A calibration that is worked out when it is first asked for, as after a restart.
+
+    Threads that ask at the same moment may all work it out, each to the same numbers.
+
+    Args:
+        make: Works it out, from data that never change.
+    """
+
+    def __init__(self, make: Callable[[], Calibration]) -> None:
+        self._make = make
+        self._made: Calibration | None = None
+
+    def get(self) -> Calibration:
+        """The calibration."""
+        made = self._made
+        if made is None:
+            made = self._made = self._make()
+        return made
+
+
+class _Expected(NamedTuple):
+    """One trial's record.
+
+    Attributes:
+        features: (f,) of the success curve.
+        success: What it came to.
+        residual: Mean squared standardised residual of its outcome; NaN where none was predicted and observed.
+        off: (q,) standardised residuals of the entries; NaN likewise.
+    """
+
+    features: Array
+    success: bool
+    residual: float
+    off: Array
+
+
+def features(seen: Prospect) -> Array:
+    """(b, c, 4) what the success curve looks at."""
+    spread = 1.0 + seen.variance
+    missed, unsure = -0.5 * (seen.o**2 / spread).sum(axis=-1), -0.5 * np.log(spread).sum(axis=-1)
+    return np.stack([np.ones_like(missed), missed, unsure, seen.executed], axis=-1)
+
+
+@final
+class PrequentialRecord:
+    """The newest trials' expectations.
+
+    Args:
+        settings: The task's `exploration`.
+        scales: Its units.
+        count: Trials that came before, and are not looked at any more.
+
+    Attributes:
+        calibration: What they say so far.
+    """
+
+    def __init__(self, settings: Exploration, scales: OutcomeScales, count: int = 0) -> None:
+        self._settings, self._scales, self._count = settings, scales, count
+        self._record: deque[_Expected] = deque(maxlen=_KEPT)
+        self._cusum = 0.0
+        self.calibration = Calibration()
+
+    def extend(self, each: Iterable[tuple[ObservedTrials, ObservedTrials]]) -> None:
+        """Note trials: for each, those that it is predicted from, and the same with it as the last one."""
+        for before, after in each:
+            if not after.shown[-1]:
+                self._add(before, after)
+
+    @property
+    def drift_score(self) -> float:
+        """The CUSUM; above 12 the robot is taken to have changed."""
+        return self._cusum
+
+    @property
+    def drifted(self) -> bool:
+        """Whether the residuals say that the robot has changed."""
+        return self._cusum > _ALARM
+
+    def _add(self, before: ObservedTrials, after: ObservedTrials) -> None:
+        self._count += 1
+        own = self._settings
+        groups = [group for group in range(len(self._scales.groups)) if before.counts[group] >= own.min_trials]
+        if groups:
+            d = after.X.shape[1] - len(self._scales.scales)
+            z, goal = after.X[-1:, :d], after.X[-1:, d:] / GOAL_SHARE
+            model = OutcomeModel.near(before, self._scales, groups, z, goal, own.neighbours)
+            seen, observed = model.prospect(goal[:, None]), after.Y[-1, model.entries]
+            off = np.full(after.Y.shape[1], np.nan)
+            off[model.entries] = (observed - seen.raw[0, 0]) / np.sqrt(seen.variance[0, 0])
+            residual = np.nan if after.refused[-1] else _residual(seen, observed)
+            self._record.append(_Expected(features(seen)[0, 0], bool(after.success[-1]), residual, off))
+            self._watch(residual)
+        if self._record and self._count % _EVERY == 0:
+            self._fit()
+
+    def _fit(self) -> None:
+        newest = list(self._record)[-_FITTED:]
+        seen, success = np.array([one.features for one in newest]), np.array([one.success for one in newest])
+        curve = SuccessCurve.fit(seen, success, _PRIOR, _SPREAD)
+        self.calibration = Calibration(curve, _spread(np.array([one.off for one in newest])))
+
+    def _watch(self, residual: float) -> None:
+        if np.isnan(residual):
+            return
+        earlier = [one.residual for one in list(self._record)[:-_NEWEST] if not np.isnan(one.residual)]
+        if len(earlier) < _SETTLED:  # what a new model does not foresee is no change of the robot
+            return
+        usual = max(float(np.mean(earlier)), _LEAST_USUAL)
+        self._cusum = max(0.0, self._cusum + residual - usual - _ALLOWANCE)
+
+
+def _spread(off: Array) -> Array:
+    """(q,) by which standard deviations are multiplied, so that nine of ten residuals (n, q) are within 1.645 of them.
+
+    That is split conformal prediction [Vovk2005] with the residuals of trials that were not learned from yet.
+    """
+    spread = np.ones(off.shape[1])
+    for entry, values in enumerate(off.T):
+        known = np.abs(values[~np.isnan(values)])
+        if len(known) >= _FEWEST:
+            spread[entry] = np.clip(np.quantile(known, 0.9, method="higher") / _NORMAL_90, *_SPREADS)
+    spread.setflags(write=False)
+    return spread
+
+
+def _residual(seen: Prospect, observed: Array) -> float:
+    known = ~np.isnan(observed)
+    if not known.any():
+        return float("nan")
+    off = observed[known] - seen.raw[0, 0, known]
+    squared = np.minimum(off * off / (seen.variance[0, 0, known] + _RESIDUAL_NOISE), _LARGEST)
+    return float(squared.mean())

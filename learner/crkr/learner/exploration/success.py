@@ -1,0 +1,91 @@
+"""How likely a goal succeeds, by a logistic regression of what the newest trials were expected to do and what they did.
+
+    F  (n, f)  features, the first of them 1      y  (n,)  1 for a success, else 0      w  (f,)  weights
+
+The weights maximise the posterior under a normal prior [Rasmussen2006, ch. 3.4 in weight space], by Newton's method.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import expit
+
+from crkr.protocol import Array
+
+__all__ = ["SuccessCurve", "SuccessRate"]
+
+_STEPS: Final = 25
+_STILL: Final = 1e-9
+_MORE_TRIALS: Final = 2.0
+_LARGEST: Final = 30.0  # of a feature; a trial further off says no more
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class SuccessCurve:
+    """P(success) = expit(w . features); made by `fit`.
+
+    Attributes:
+        weights: (f,).
+    """
+
+    weights: Array
+
+    @classmethod
+    def fit(cls, features: Array, success: NDArray[np.bool_], prior: Array, spread: float) -> SuccessCurve:
+        """The curve of some trials.
+
+        Args:
+            features: (n, f); n may be 0.
+            success: (n,).
+            prior: (f,) weights that are expected.
+            spread: Standard deviation of the weights around these.
+        """
+        F, y, w = bounded(features), success.astype(np.float64), prior.copy()
+        precision = np.eye(len(prior)) / spread**2
+        for _ in range(_STEPS):
+            chance = expit(F @ w)
+            gradient = F.T @ (y - chance) - precision @ (w - prior)
+            step = np.linalg.solve((F * (chance * (1.0 - chance))[:, None]).T @ F + precision, gradient)
+            w = w + step / max(1.0, float(np.abs(step).max()))  # far steps overshoot where the curve saturates
+            if np.abs(step).max() < _STILL:
+                break
+        w.setflags(write=False)
+        return cls(w)
+
+    def at(self, features: Array) -> Array:
+        """P(success) (...,) of features (..., f)."""
+        return np.asarray(expit((bounded(features) * self.weights).sum(axis=-1)))
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class SuccessRate:
+    """How often the newest trials succeeded in states near by; for tasks whose outcomes are not modelled.
+
+    Attributes:
+        Z: (n, d) standardised states of the newest trials, n >= 1.
+        success: (n,) 1 for a success, else 0.
+    """
+
+    Z: Array
+    success: Array
+
+    def at(self, z: Array) -> Array:
+        """P(success) () or (b,) of a trial at standardised states (d,) or (b, d).
+
+        A mean weighted by the squared-exponential kernel, drawn towards the mean of all as if by two more trials.
+        """
+        away = self.Z - (z if z.ndim == 1 else z[:, None])
+        near = np.exp(-0.5 * np.vecdot(away, away))
+        hits = near @ self.success + _MORE_TRIALS * self.success.mean()
+        return np.asarray(hits / (near.sum(axis=-1) + _MORE_TRIALS))
+
+
+def bounded(features: Array) -> Array:
+    """Features within what the regression can tell apart."""
+    return np.clip(np.nan_to_num(features, nan=0.0, posinf=_LARGEST, neginf=-_LARGEST), -_LARGEST, _LARGEST)

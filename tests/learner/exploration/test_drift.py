@@ -1,0 +1,81 @@
+"""A robot that changes, in a world that is a line."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from crkr.learner import Learner
+from crkr.protocol import Array, TaskSpec, training_id
+
+MakeSpec = Callable[..., TaskSpec]
+
+J = np.array([[0.5, 0.2, 0.0], [-0.1, 0.4, 0.2]])
+TOLERANCE = 0.05
+
+
+def outcome_of(state: Array, goal: Array, shift: float) -> Array:
+    return np.asarray(0.3 * state + J @ (goal + shift) - 0.1)
+
+
+@pytest.fixture
+def spec(make_spec: MakeSpec) -> TaskSpec:
+    outcome = [{"name": name, "tolerance": TOLERANCE, "group": "miss"} for name in "ab"]
+    return make_spec(2, 3, outcome=outcome, exploration={"type": "outcome"}, seed=1)
+
+
+def train(learner: Learner, first: int, count: int, shift: float = 0.0) -> list[bool]:
+    """Whether each of these trials succeeded."""
+    rng, won = np.random.default_rng(first), []
+    for number in range(first, first + count):
+        state = rng.uniform(-0.5, 0.5, 2)
+        answer = learner.predict(state, True, training_id("t", 0, 1, number))
+        outcome = outcome_of(state, answer.goal, shift) + 0.005 * rng.normal(size=2)
+        won.append(bool((np.abs(outcome) < TOLERANCE).all()))
+        learner.report(answer, cost=0.1, success=won[-1], outcome=outcome)
+    return won
+
+
+def rate(learner: Learner, shift: float) -> float:
+    states = np.random.default_rng(99).uniform(-0.5, 0.5, (200, 2))
+    goals = learner.predict(states).goals
+    hits = [np.abs(outcome_of(*pair, shift)).max() < TOLERANCE for pair in zip(states, goals, strict=True)]
+    return float(np.mean(hits))
+
+
+def test_it_starts_from_nothing_and_steady_trials_raise_no_alarm(spec: TaskSpec) -> None:
+    learner = Learner(spec)
+    train(learner, 0, 400)
+    assert rate(learner, 0.0) > 0.95
+    assert learner.drift is not None
+    assert learner.drift.restarts == 0
+
+
+def test_a_changed_robot_is_noticed_and_learned_anew(spec: TaskSpec) -> None:
+    learner = Learner(spec)
+    train(learner, 0, 200)
+    assert rate(learner, 0.6) < 0.3
+    train(learner, 200, 60, shift=0.6)
+    assert learner.drift is not None
+    assert learner.drift.restarts == 1
+    assert rate(learner, 0.6) > 0.95
+    assert learner.active_ids  # what succeeded before is kept
+
+
+def test_no_model_restarts_where_that_is_turned_off(make_spec: MakeSpec, spec: TaskSpec) -> None:
+    off = TaskSpec.from_dict({**spec.to_dict(), "exploration": {"type": "outcome", "drift": False}})
+    learner = Learner(off)
+    train(learner, 0, 150)
+    train(learner, 150, 60, shift=0.6)
+    assert learner.drift is not None
+    assert (learner.drift.restarts, learner.drift.due) == (0, False)
+
+
+def test_success_probabilities_are_near_what_happens(spec: TaskSpec) -> None:
+    learner = Learner(spec)
+    train(learner, 0, 300)
+    told = learner.predict(np.random.default_rng(5).uniform(-0.5, 0.5, (200, 2))).success_probability
+    assert told is not None
+    assert abs(float(told.mean()) - rate(learner, 0.0)) < 0.1

@@ -1,7 +1,7 @@
-"""A `crkr watch` that measures itself; a process of its own.
+"""A `crkr watch` that measures itself; `crkr bench dashboard` runs it as a process.
 
-It follows a task as the command does, and draws into a recording or, as its own baseline, not at all. It ends when its
-standard input does, and then says what it measured as one JSON object.
+It follows a task as the command does, and draws into a recording or, as a baseline, not at all. The end of its standard
+input ends it; it then prints what it measured as one JSON object.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import sys
 import threading
 import time
 from array import array
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Final, final
@@ -24,12 +24,12 @@ from crkr.client import Client, Subscription
 from crkr.dashboard.command import LOOPBACK, PICTURES_S, STREAM_PORT
 from crkr.dashboard.feed import Feed
 from crkr.dashboard.ports import choose_port
-from crkr.dashboard.progress import EpochResult, Progress, Row
+from crkr.dashboard.progress import Progress, Row
 from crkr.dashboard.telemetry import Telemetry
 from crkr.dashboard.view import View
 from crkr.dashboard.watch_loop import follow
 
-__all__ = ["Meter", "Nothing", "growth", "main"]
+__all__ = ["Meter", "growth", "main"]
 
 CLOSE_S: Final = 10.0
 LISTEN_S: Final = 0.2
@@ -37,37 +37,11 @@ STATM: Final = Path("/proc/self/statm")
 
 
 @final
-class Nothing:
-    """A view that draws nothing: what is left is the following itself."""
-
-    def task(self, description: str) -> None:
-        """Nothing."""
-
-    def trials(self, rows: Sequence[Row], progress: Progress) -> None:
-        """Nothing."""
-
-    def picture(self, row: Row, telemetry: Telemetry) -> None:
-        """Nothing."""
-
-    def epoch(self, result: EpochResult, progress: Progress) -> None:
-        """Nothing."""
-
-    def status(self, status: Mapping[str, Any], progress: Progress, now: float) -> None:
-        """Nothing."""
-
-    def say(self, message: str, *, warning: bool = False) -> None:
-        """Nothing."""
-
-    def tick(self, now: float, progress: Progress) -> None:
-        """Nothing."""
-
-
-@final
 class Meter:
-    """A view around another one that notes when pictures were drawn, and how large the process is.
+    """A view that notes when another one drew pictures, and how large the process is.
 
     Args:
-        view: What to pass everything on to.
+        view: The other one; None draws nothing.
         arrivals: Log position -> when what was published about it was received [monotonic s]; taken out when drawn.
 
     Attributes:
@@ -75,26 +49,28 @@ class Meter:
         sizes: (time [monotonic s], resident bytes, trials) at every second, or nothing where that cannot be told.
     """
 
-    def __init__(self, view: View, arrivals: dict[int, float]) -> None:
+    def __init__(self, view: View | None, arrivals: dict[int, float]) -> None:
         self._view = view
         self._arrivals = arrivals
         self._fresh: list[int] = []
         self.lags = array("d")  # 8 bytes each: the memory is measured too
         self.sizes: list[tuple[float, float, int]] = []
-        self.task = view.task
-        self.trials = view.trials
-        self.epoch = view.epoch
-        self.status = view.status
-        self.say = view.say
+        self.task: Callable[..., None] = getattr(view, "task", _ignore)
+        self.trials: Callable[..., None] = getattr(view, "trials", _ignore)
+        self.epoch: Callable[..., None] = getattr(view, "epoch", _ignore)
+        self.status: Callable[..., None] = getattr(view, "status", _ignore)
+        self.say: Callable[..., None] = getattr(view, "say", _ignore)
 
     def picture(self, row: Row, telemetry: Telemetry) -> None:
-        """Passes it on; it is drawn with the next tick at the latest."""
-        self._view.picture(row, telemetry)
+        """Pass it on; it is drawn with the next tick at the latest."""
+        if self._view is not None:
+            self._view.picture(row, telemetry)
         self._fresh.append(row.seq)
 
     def tick(self, now: float, progress: Progress) -> None:
-        """Passes it on, and notes the time after it."""
-        self._view.tick(now, progress)
+        """Pass it on, and note the time after it."""
+        if self._view is not None:
+            self._view.tick(now, progress)
         after = time.monotonic()
         received = [self._arrivals.pop(seq, after) for seq in self._fresh]
         self.lags.extend([after - moment for moment in received])
@@ -104,14 +80,18 @@ class Meter:
             self.sizes.append((after, resident, progress.trials))
 
 
+def _ignore(*_: object, **__: object) -> None:
+    """Draw nothing."""
+
+
 def main(endpoint: str, task: str, save: Path | None = None, memory_limit: str = "512MiB") -> None:
-    """Follows a task until standard input ends; with `save` it draws, into a recording that it also serves."""
+    """Follow a task until standard input ends; with `save` draw into a recording, which is also served."""
     ended = threading.Event()
     with ExitStack() as stack:
         client = stack.enter_context(Client(endpoint))
         followed = client.task(task)
         arrivals: dict[int, float] = {}
-        meter = Meter(_drawing(stack, task, save, memory_limit) if save else Nothing(), arrivals)
+        meter = Meter(_drawing(stack, task, save, memory_limit) if save else None, arrivals)
         heard = stack.enter_context(followed.subscribe(("trial",)))
         listening = threading.Thread(target=_listen, args=(heard, arrivals, ended), daemon=True)
         waiting = threading.Thread(target=_wait_for_end, args=(ended.set,), daemon=True)
@@ -132,7 +112,7 @@ def _drawing(stack: ExitStack, task: str, save: Path, memory_limit: str) -> View
 
 
 def _listen(subscription: Subscription, arrivals: dict[int, float], ended: threading.Event) -> None:
-    """Notes when publications arrive, beside the display and not behind it."""
+    """Note when publications arrive, in a thread beside the display."""
     while not ended.is_set():
         received = subscription.receive(LISTEN_S)
         if received is not None and isinstance(seq := received[1].get("seq"), int):

@@ -1,4 +1,4 @@
-"""The parts of `crkr bench` measure what they say, on real processes; how fast those are is not tested here."""
+"""The parts of `crkr bench` measure what they say, on real processes; how fast they are is not tested."""
 
 import os
 import signal
@@ -10,25 +10,24 @@ from typing import Any
 import numpy as np
 import pytest
 
-from crkr.client.bench import workload
-from crkr.client.bench.bare import Bare
-from crkr.client.bench.echo import KEY
-from crkr.client.bench.figures import Figure, p50, p99, show
-from crkr.client.bench.processes import echoing, loading, serving
-from crkr.client.bench.restart import restart_figures
-from crkr.client.bench.tasks import task_figures
-from crkr.client.bench.timing import in_turns
+from crkr.experiments.bench import workload
+from crkr.experiments.bench.bare_zenoh import KEY, BareQuerier, echoing
+from crkr.experiments.bench.figures import Figure, in_turns, p50, p99, ratio, show
+from crkr.experiments.bench.load import loading
+from crkr.experiments.bench.predict import restart_figures
+from crkr.experiments.bench.processes import serving
+from crkr.experiments.bench.tasks import measure as task_figures
 from crkr.protocol import Internal, ReportRequest, Unavailable, unpack
 
 
 def test_an_echo_answers_every_question_with_as_many_bytes() -> None:
-    with echoing(37) as endpoint, Bare(endpoint, KEY) as bare:
+    with echoing(37) as endpoint, BareQuerier(endpoint, KEY) as bare:
         assert len(bare.ask(b"whatever")) == 37
         assert bare.rate([b"x"] * 200, 64) > 0
 
 
 def test_the_bare_arithmetic_answers_a_question_of_the_task_in_the_size_of_an_answer() -> None:
-    with echoing(500, 40) as endpoint, Bare(endpoint, KEY) as bare:
+    with echoing(500, 40) as endpoint, BareQuerier(endpoint, KEY) as bare:
         answers = {bare.ask(workload.predict_payload()), bare.ask(workload.predict_payload())}
     assert [len(one) for one in answers] == [500]
     sigmas = np.frombuffer(answers.pop()[:208])[13:]
@@ -40,7 +39,7 @@ def test_a_load_reports_what_the_server_stores_and_only_while_it_is_told_to(tmp_
     with serving(tmp_path / "data") as client:
         task = client.create_task(workload.bench_spec())
         workload.fill(task, 40)
-        with Bare(client.endpoint, workload.key("predict")) as bare:
+        with BareQuerier(client.endpoint, workload.key("predict")) as bare:
             assert unpack(bare.ask(workload.predict_payload()))["active"] == 40
             with pytest.raises(Internal, match="INVALID"):
                 bare.ask(b"\xc1")
@@ -66,7 +65,7 @@ def test_a_load_that_gets_no_answers_gives_no_numbers() -> None:
                 load.go()
                 load.stop()
 
-    with pytest.raises(Unavailable, match="ended before it was told to"):
+    with pytest.raises(Unavailable, match=r"bench\.load ended with status 1: .* did not answer a query of the load"):
         load_nobody()
 
 
@@ -90,7 +89,7 @@ def test_a_server_that_dies_while_it_is_measured_ends_the_measurement(tmp_path: 
                 os.kill(server, signal.SIGKILL)
                 task.report_trials([], wait=True, timeout_s=300.0)
 
-    with pytest.raises(Unavailable, match=r"^the server that is measured ended by signal 9$"):
+    with pytest.raises(Unavailable, match=r"^crkr server ended by signal 9$"):
         measure()
 
 
@@ -109,7 +108,7 @@ def test_the_command_fails_in_one_line_when_its_server_dies(tmp_path: Path, proc
         os.kill(server, signal.SIGKILL)
         out, err = bench.communicate(timeout=60)
     assert bench.returncode == 1
-    assert (out, err) == ("", "error: the server that is measured ended by signal 9\n")
+    assert (out, err) == ("", "error: crkr server ended by signal 9\n")
 
 
 def test_a_long_log_is_written_and_restarted_on(tmp_path: Path) -> None:
@@ -138,9 +137,11 @@ def test_a_figure_is_judged_by_its_bar(capsys: pytest.CaptureFixture[str]) -> No
         Figure("quick", 1.0, 1.15, False, {"us": 150.0}),
         Figure("slow", 1.2, 1.15, False, {"us": 180.0}),
         Figure("rate", 0.7, 0.6, True, {}),
-        Figure("shown", 9.0, None, False, {}),
+        Figure("shown", 9.0),
+        ratio("quotient", {"ours": 3.0, "theirs": 2.0, "others": 9.0}, "ours", "theirs", 1.5),
     ]
-    assert [figure.reached for figure in figures] == [True, False, True, True]
+    assert [figure.reached for figure in figures] == [True, False, True, True, True]
+    assert figures[-1] == Figure("quotient", 1.5, 1.5, False, {"ours us": 3.0, "theirs us": 2.0})
     show(figures, "title", False)
     lines = capsys.readouterr().out.splitlines()
     assert "<= 1.15" in lines[2]

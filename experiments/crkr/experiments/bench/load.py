@@ -1,25 +1,57 @@
-"""A client that asks without pause while it is told to; a process of its own.
+"""A client in a process of its own that sends queries without pause between "go" and "stop".
 
-It reads lines: "go" starts, "stop" ends a spell and is answered by one line: answers, and how many were errors. It ends
-when its standard input does.
+It reads these words as lines. "stop" is answered by one line: the numbers of answers and of error replies so far. The
+end of its standard input ends it.
 """
 
 from __future__ import annotations
 
 import sys
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import final
 
 import typer
 import zenoh
 
-from crkr.client.bench.bare import Bare
-from crkr.client.bench.workload import explain_payload, report_payload
+from crkr.experiments.bench.bare_zenoh import BareQuerier
+from crkr.experiments.bench.processes import Child, program, say_ready
+from crkr.experiments.bench.workload import explain_payload, report_payload
 
-__all__ = ["main"]
+__all__ = ["Load", "loading"]
 
 
-def main(endpoint: str, key: str, kind: str, width: int, seed: int) -> None:
-    """Sends `width` queries of `kind` ("report" or "explain") at once, waits for all answers, and again."""
+@final
+class Load:
+    """A client that sends queries without pause between `go` and `stop`."""
+
+    def __init__(self, child: Child) -> None:
+        self._child = child
+
+    def go(self) -> None:
+        """Begin to send."""
+        self._child.send("go")
+
+    def stop(self) -> tuple[int, int]:
+        """Stop sending; returns the numbers of answers and of error replies since the process began.
+
+        Raises:
+            Unavailable: The server did not answer any more, so what was measured was not loaded.
+        """
+        self._child.send("stop")
+        answers, errors = self._child.receive().split()
+        return int(answers), int(errors)
+
+
+@contextmanager
+def loading(endpoint: str, key: str, kind: str, width: int, seed: int) -> Iterator[Load]:
+    """A client that sends `width` queries of `kind` ("report" or "explain") at once and waits for all answers."""
+    with program("crkr.experiments.bench.load", endpoint, key, kind, str(width), str(seed)) as child:
+        yield Load(child)
+
+
+def _main(endpoint: str, key: str, kind: str, width: int, seed: int) -> None:
     running, ended = threading.Event(), threading.Event()
     counts = [0, 0]
 
@@ -35,21 +67,21 @@ def main(endpoint: str, key: str, kind: str, width: int, seed: int) -> None:
                 replies = [bare.send(payload) for payload in payloads]
                 for reply in replies:
                     counts[reply.recv().ok is None] += 1
-            except zenoh.ZError:  # nobody is there to be loaded any more; the next `stop` gets no numbers
+            except zenoh.ZError:  # no answer: the next "stop" finds this thread gone
                 return
 
-    with Bare(endpoint, key) as bare:
+    with BareQuerier(endpoint, key) as bare:
         thread = threading.Thread(target=work, daemon=True)
         thread.start()
-        sys.stdout.write("ready\n")
-        sys.stdout.flush()
+        say_ready()
         for line in sys.stdin:
             if line.strip() == "go":
                 running.set()
                 continue
             running.clear()
-            if not thread.is_alive():  # what was measured lately was not loaded: no numbers, and the other end says so
-                return
+            if not thread.is_alive():
+                sys.stderr.write(f"error: {endpoint} did not answer a query of the load\n")
+                raise typer.Exit(1)
             sys.stdout.write(f"{counts[0]} {counts[1]}\n")
             sys.stdout.flush()
         ended.set()
@@ -58,4 +90,4 @@ def main(endpoint: str, key: str, kind: str, width: int, seed: int) -> None:
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    typer.run(_main)

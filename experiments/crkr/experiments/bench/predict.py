@@ -1,162 +1,187 @@
-"""`crkr bench predict`: what an answer costs above the bare wire, alone, in crowds and beside others' load."""
+"""What `crkr bench predict` measures: an answer beside the bare wire, alone, under load, and on a long log."""
 
 from __future__ import annotations
 
-import tempfile
+import json
+import sqlite3
+import subprocess
+import sys
+import time
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, ExitStack
+from contextlib import ExitStack, closing
 from itertools import repeat
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import Any, Final
 
 import numpy as np
-import typer
 
-from crkr.client.bench import workload
-from crkr.client.bench.bare import Bare
-from crkr.client.bench.echo import KEY
-from crkr.client.bench.figures import Figure, p50, p99, show
-from crkr.client.bench.processes import Load, echoing, loading, serving
-from crkr.client.bench.restart import restart_figures
-from crkr.client.bench.timing import in_turns, spell
-from crkr.client.cli.options import Json
-from crkr.client.client import Client
-from crkr.client.task import Task
-from crkr.protocol import Array
+from crkr.client import Client, Task
+from crkr.experiments.bench import workload
+from crkr.experiments.bench.bare_zenoh import KEY, BareQuerier, echoing
+from crkr.experiments.bench.figures import Figure, in_turns, p50, p99, ratio, timed
+from crkr.experiments.bench.load import Load, loading
+from crkr.experiments.bench.processes import serving
+from crkr.protocol import Array, Unavailable
 
-if TYPE_CHECKING:
-    from crkr.client.mirror import Mirror  # needs an extra, and the command says which
-
-__all__ = ["predict"]
+__all__ = ["measure", "restart_figures"]
 
 _SAMPLES: Final = 1000
+_FEW: Final = 1000
 _RECEIPT: Final = 60  # bytes of a report's reply
-_FLOOD: Final = 700  # explain requests at once
+_FLOOD: Final = 700  # explain requests at once, more than the server's queue holds
 _MANY: Final = 20_000  # queries of a throughput
+_ROUNDS: Final = 6
 
 
-def predict(
-    samples: Annotated[
-        int, typer.Option("--samples", min=0, help="Also restart on a log of so many samples; 1000000 takes minutes.")
-    ] = 0,
-    as_json: Json = False,
-) -> None:
-    """Measure predictions beside a bare Zenoh echo of the same bytes.
+def measure(directory: Path, samples: int) -> Iterator[Figure]:
+    """All figures; with `samples` also those of a restart on so long a log.
 
-    Example: crkr bench predict --samples 100000
+    Args:
+        directory: Empty; for the servers' data.
+        samples: Trials of the long log; 0 leaves it out.
     """
-    with tempfile.TemporaryDirectory(prefix="crkr-bench-") as directory:
-        figures = list(_all(Path(directory)))
-        if samples:
-            figures += restart_figures(Path(directory), samples)
-    show(figures, f"predict, m = 250, d = {workload.D}, p = 13, loopback", as_json)
-
-
-def _all(directory: Path) -> Iterator[Figure]:
     with ExitStack() as stack:
         client = stack.enter_context(serving(directory / "data"))
         task = client.create_task(workload.bench_spec())
         workload.fill(task, _SAMPLES)
         payload = workload.predict_payload()
-        bare = stack.enter_context(Bare(client.endpoint, workload.key("predict")))
+        bare = stack.enter_context(BareQuerier(client.endpoint, workload.key("predict")))
         size = len(bare.ask(payload))
-        echo = stack.enter_context(Bare(stack.enter_context(echoing(size)), KEY))
-        least = stack.enter_context(Bare(stack.enter_context(echoing(size, workload.BUDGET)), KEY))
-        with task.mirror() as mirror:
-            yield from _alone(task, mirror, bare, echo, least, payload)
+        echo = stack.enter_context(BareQuerier(stack.enter_context(echoing(size)), KEY))
+        least = stack.enter_context(BareQuerier(stack.enter_context(echoing(size, workload.BUDGET)), KEY))
+        yield from _alone(task, bare, echo, least, payload)
         yield _in_flight(bare, echo, payload)
         yield _thousand(task)
         yield from _beside_reports(stack, client, task, echo, payload)
         yield from _beside_flood(stack, client, task, echo, payload)
+    if samples:
+        yield from restart_figures(directory, samples)
 
 
-def _alone(task: Task, mirror: Mirror, bare: Bare, echo: Bare, least: Bare, payload: bytes) -> Iterator[Figure]:
+def _alone(task: Task, bare: BareQuerier, echo: BareQuerier, least: BareQuerier, payload: bytes) -> Iterator[Figure]:
     state = workload.states(1)[0]
-    calls = {
-        "predict": lambda: task.predict(state),
-        "wire": lambda: bare.ask(payload),
-        "least": lambda: least.ask(payload),
-        "echo": lambda: echo.ask(payload),
-        "mirror": lambda: mirror.predict(state),
-    }
-    times = {name: p50(found) for name, found in in_turns(calls, 20, 150).items()}
-    behind = {"predict us": times["predict"], "echo us": times["echo"]}
-    yield Figure("Task.predict p50 / echo p50, one in flight", times["predict"] / times["echo"], 1.15, False, behind)
-    behind = {"wire us": times["wire"], "echo us": times["echo"]}
-    yield Figure("  the same bytes asked by bare Zenoh / echo", times["wire"] / times["echo"], None, False, behind)
-    behind = {"least us": times["least"], "echo us": times["echo"]}
-    yield Figure("  the bare arithmetic behind bare Zenoh / echo", times["least"] / times["echo"], None, False, behind)
-    behind = {"mirror us": times["mirror"], "echo us": times["echo"]}
-    yield Figure("  Mirror.predict, no network / echo", times["mirror"] / times["echo"], None, False, behind)
+    with task.mirror() as mirror:
+        calls = {
+            "predict": lambda: task.predict(state),
+            "wire": lambda: bare.ask(payload),
+            "least": lambda: least.ask(payload),
+            "echo": lambda: echo.ask(payload),
+            "mirror": lambda: mirror.predict(state),
+        }
+        times = {name: p50(found) for name, found in in_turns(calls, 20, 150).items()}
+    yield ratio("Task.predict p50 / echo p50, one in flight", times, "predict", "echo", 1.15)
+    yield ratio("  the same bytes asked by bare Zenoh / echo", times, "wire", "echo")
+    yield ratio("  the bare arithmetic behind bare Zenoh / echo", times, "least", "echo")
+    yield ratio("  Mirror.predict, no network / echo", times, "mirror", "echo")
 
 
-def _in_flight(bare: Bare, echo: Bare, payload: bytes) -> Figure:
-    rates: dict[str, list[float]] = {"predict": [], "echo": []}
-    for _ in range(4):
-        for name, one in (("predict", bare), ("echo", echo)):
-            rates[name].append(one.rate(repeat(payload, _MANY // 4), 64))
-    ours, theirs = (float(np.median(rates[name])) for name in ("predict", "echo"))
-    behind = {"predict /s": ours, "echo /s": theirs}
-    return Figure("predict rate / echo rate, 64 in flight", ours / theirs, 0.6, True, behind)
+def _in_flight(bare: BareQuerier, echo: BareQuerier, payload: bytes) -> Figure:
+    queriers = {"predict": bare, "echo": echo}
+    rounds = [[one.rate(repeat(payload, _MANY // 4), 64) for one in queriers.values()] for _ in range(4)]
+    rates = dict(zip(queriers, np.median(rounds, axis=0).tolist(), strict=True))
+    what = "predict rate / echo rate, 64 in flight"
+    return ratio(what, rates, "predict", "echo", 0.6, at_least=True, unit="/s")
 
 
 def _thousand(task: Task) -> Figure:
     many, one = workload.states(1000), workload.states(1)[0]
-    found = in_turns({"many": lambda: task.predict(many), "one": lambda: task.predict(one)}, 10, 10)
+    found = in_turns({"1000": lambda: task.predict(many), "1": lambda: task.predict(one)}, 10, 10)
     times = {name: p50(taken) for name, taken in found.items()}
-    behind = {"1000 us": times["many"], "1 us": times["one"]}
-    return Figure("1000 states in one predict / one state", times["many"] / times["one"], 40.0, False, behind)
+    return ratio("1000 states in one predict / one state", times, "1000", "1", 40.0)
 
 
-def _beside_reports(stack: ExitStack, client: Client, task: Task, echo: Bare, payload: bytes) -> Iterator[Figure]:
+def _beside_reports(
+    stack: ExitStack, client: Client, task: Task, echo: BareQuerier, payload: bytes
+) -> Iterator[Figure]:
     """Two clients report without pause; the echo is measured beside two that send the same to another echo."""
     state = workload.states(1)[0]
     other = stack.enter_context(echoing(_RECEIPT))
-    report = workload.key("report")
-    reporters = [stack.enter_context(_reporter(client.endpoint, report, n)) for n in (1, 2)]
-    senders = [stack.enter_context(_reporter(other, KEY, n)) for n in (1, 2)]
-    ours, theirs = [], []
-    for _ in range(6):
-        ours.append(_loaded(reporters, lambda: task.predict(state)))
-        theirs.append(_loaded(senders, lambda: echo.ask(payload)))
-    reports = sum(load.stop()[0] for load in reporters)
-    sent = sum(load.stop()[0] for load in senders)
-    a, b = p99(np.concatenate(ours)), p99(np.concatenate(theirs))
-    behind = {"predict us": a, "echo us": b, "reports": reports, "echoes of the load": sent}
-    yield Figure("predict p99 beside two reporters / echo p99 beside the same", a / b, 2.5, False, behind)
-    a, b = p50(np.concatenate(ours)), p50(np.concatenate(theirs))
-    yield Figure("  their p50", a / b, None, False, {"predict us": a, "echo us": b})
+
+    def reporters(endpoint: str, key: str) -> list[Load]:
+        return [stack.enter_context(loading(endpoint, key, "report", 1, n * 10**9)) for n in (1, 2)]
+
+    loads, others = reporters(client.endpoint, workload.key("report")), reporters(other, KEY)
+    rounds = [
+        (_loaded(loads, lambda: task.predict(state)), _loaded(others, lambda: echo.ask(payload)))
+        for _ in range(_ROUNDS)
+    ]
+    predict, bare = (np.concatenate(times) for times in zip(*rounds, strict=True))
+    behind = {
+        "predict us": p99(predict),
+        "echo us": p99(bare),
+        "reports": sum(load.stop()[0] for load in loads),
+        "echoes of the load": sum(load.stop()[0] for load in others),
+    }
+    what = "predict p99 beside two reporters / echo p99 beside the same"
+    yield Figure(what, behind["predict us"] / behind["echo us"], 2.5, behind=behind)
+    yield ratio("  their p50", {"predict": p50(predict), "echo": p50(bare)}, "predict", "echo")
 
 
-def _reporter(endpoint: str, key: str, number: int) -> AbstractContextManager[Load]:
-    return loading(endpoint, key, "report", 1, number * 10**9)
+def _beside_flood(stack: ExitStack, client: Client, task: Task, echo: BareQuerier, payload: bytes) -> Iterator[Figure]:
+    """One client keeps 700 `explain` outstanding; the echo is measured beside as many to another echo."""
+    state = workload.states(1)[0]
+    flood = stack.enter_context(loading(client.endpoint, workload.key("explain"), "explain", _FLOOD, 0))
+    other = stack.enter_context(loading(stack.enter_context(echoing(_RECEIPT)), KEY, "explain", _FLOOD, 0))
+    rounds = [
+        (
+            timed(lambda: task.predict(state), 1000),
+            _loaded([flood], lambda: task.predict(state)),
+            timed(lambda: echo.ask(payload), 1000),
+            _loaded([other], lambda: echo.ask(payload)),
+        )
+        for _ in range(_ROUNDS)
+    ]
+    idle, busy, echo_idle, echo_busy = (p99(np.concatenate(times)) for times in zip(*rounds, strict=True))
+    answered, refused = flood.stop()
+    behind = {"beside us": busy, "idle us": idle, "explained": answered, "refused": refused}
+    yield Figure("predict p99 beside 700 explain outstanding / idle", busy / idle, 3.0, behind=behind)
+    what = "  echo p99 beside 700 outstanding to another / idle"
+    yield ratio(what, {"beside": echo_busy, "idle": echo_idle}, "beside", "idle")
 
 
 def _loaded(loads: list[Load], call: Callable[[], Any]) -> Array:
     for load in loads:
         load.go()
-    spell(call, 50)
-    times = spell(call, 1000)
+    timed(call, 50)
+    times = timed(call, 1000)
     for load in loads:
         load.stop()
     return times
 
 
-def _beside_flood(stack: ExitStack, client: Client, task: Task, echo: Bare, payload: bytes) -> Iterator[Figure]:
-    """One client keeps 700 `explain` outstanding, more than the queue holds; the echo is measured beside as many."""
+def restart_figures(directory: Path, samples: int) -> Iterator[Figure]:
+    """Restart on logs of `samples` and of 1000 trials, and compare.
+
+    The server's own store writes the logs. The first start computes their radii; the second one is measured.
+    """
+    few, many = directory / "few", directory / "many"
+    for data, count in ((few, _FEW), (many, samples)):
+        arguments = [sys.executable, "-m", "crkr.server.inspection.synthetic_log", str(data), str(count)]
+        spec = json.dumps(workload.bench_spec().to_dict())
+        done = subprocess.run(arguments, check=False, input=spec, text=True, encoding="utf-8")
+        if done.returncode:
+            raise Unavailable(f"the log of {count} trials was not written: its process ended with {done.returncode}")
+        with serving(data):
+            pass
+    read = min(_bare_read(many) for _ in range(2))
     state = workload.states(1)[0]
-    flood = stack.enter_context(loading(client.endpoint, workload.key("explain"), "explain", _FLOOD, 0))
-    other = stack.enter_context(loading(stack.enter_context(echoing(_RECEIPT)), KEY, "explain", _FLOOD, 0))
-    idle, busy, echo_idle, echo_busy = [], [], [], []
-    for _ in range(6):
-        idle.append(spell(lambda: task.predict(state), 1000))
-        busy.append(_loaded([flood], lambda: task.predict(state)))
-        echo_idle.append(spell(lambda: echo.ask(payload), 1000))
-        echo_busy.append(_loaded([other], lambda: echo.ask(payload)))
-    answered, refused = flood.stop()
-    a, b = p99(np.concatenate(busy)), p99(np.concatenate(idle))
-    behind = {"beside us": a, "idle us": b, "explained": answered, "refused": refused}
-    yield Figure("predict p99 beside 700 explain outstanding / idle", a / b, 3.0, False, behind)
-    a, b = p99(np.concatenate(echo_busy)), p99(np.concatenate(echo_idle))
-    what = "  echo p99 beside 700 outstanding to another / idle"
-    yield Figure(what, a / b, None, False, {"beside us": a, "idle us": b})
+    with ExitStack() as stack:
+        started = time.perf_counter()
+        large = stack.enter_context(serving(many)).task(workload.TASK)
+        large.predict(state)
+        restart = time.perf_counter() - started
+        small = stack.enter_context(serving(few)).task(workload.TASK)
+        found = in_turns({"many": lambda: large.predict(state), "few": lambda: small.predict(state)}, 20, 100)
+    what = f"{samples} samples: restart to first predict / bare read"
+    yield ratio(what, {"restart": restart, "bare read": read}, "restart", "bare read", 3.0, unit="s")
+    times = {name: p50(taken) for name, taken in found.items()}
+    yield ratio(f"predict p50 at {samples} samples / at {_FEW}", times, "many", "few", 1.1)
+
+
+def _bare_read(data: Path) -> float:
+    """Seconds to read every row of the table of trials."""
+    with closing(sqlite3.connect(next(data.glob("*.sqlite3")))) as connection:
+        started = time.perf_counter()
+        for _ in connection.execute("SELECT * FROM trial ORDER BY task, seq"):
+            pass
+        return time.perf_counter() - started

@@ -1,6 +1,6 @@
-"""Many workers in one process: reports trials at a rate, and publishes about each what a real worker once did.
+"""A program that stands in for many workers: it reports trials at a rate and publishes what real workers did.
 
-It ends when its standard input does, and then says how much it published as one JSON object.
+The end of its standard input ends it; it then prints how much it published as one JSON object.
 """
 
 from __future__ import annotations
@@ -17,40 +17,39 @@ import numpy as np
 import typer
 
 from crkr.client import Client, Task
-from crkr.client.bench import workload
+from crkr.experiments.bench import workload
+from crkr.experiments.bench.processes import say_ready
 from crkr.protocol import pack, unpack
 
-__all__ = ["main"]
+__all__: list[str] = []
 
 WORKERS: Final = 8
 TICK_S: Final = 0.1
-BEFORE: Final = 4500  # trials at the start: what a display remembers of the newest trials is then full
+BEFORE: Final = 4500  # trials before the stream: more than a display remembers
 BATCH: Final = 500
 
 
-def main(endpoint: str, messages: Path, rate: int) -> None:
-    """Reports `rate` trials a second [1/s], to the task of the other benches, with publications from a file."""
-    published = [unpack(data) for data in unpack(messages.read_bytes())["messages"]]
+def _main(endpoint: str, messages: Path, rate: int) -> None:
+    contents = [unpack(data) for data in unpack(messages.read_bytes())["messages"]]
     ended = threading.Event()
+
+    def wait_for_end() -> None:
+        sys.stdin.read()
+        ended.set()
+
     with Client(endpoint) as client:
         task = client.create_task(workload.bench_spec())
         for _ in range(BEFORE // BATCH):
             _report(task, BATCH)
-        sys.stdout.write("ready\n")
-        sys.stdout.flush()
-        threading.Thread(target=_wait_for_end, args=(ended,), daemon=True).start()
-        said = _publish(task, published, rate, ended)
-    sys.stdout.write(json.dumps(said) + "\n")
+        say_ready()
+        threading.Thread(target=wait_for_end, daemon=True).start()
+        result = _publish(task, contents, rate, ended)
+    sys.stdout.write(json.dumps(result) + "\n")
 
 
-def _wait_for_end(ended: threading.Event) -> None:
-    sys.stdin.read()
-    ended.set()
-
-
-def _publish(task: Task, messages: list[dict[str, Any]], rate: int, ended: threading.Event) -> dict[str, Any]:
+def _publish(task: Task, contents: list[dict[str, Any]], rate: int, ended: threading.Event) -> dict[str, float]:
     started, count, size = time.monotonic(), 0, 0
-    content = cycle(messages)
+    content = cycle(contents)
     while not ended.wait(max(0.0, started + count / rate + TICK_S - time.monotonic())):
         due = int((time.monotonic() - started) * rate) - count
         if due < 1:
@@ -63,13 +62,11 @@ def _publish(task: Task, messages: list[dict[str, Any]], rate: int, ended: threa
     return {"published": count, "bytes": size, "seconds": time.monotonic() - started}
 
 
-def _report(task: Task, count: int) -> tuple[int, ...]:
-    """Log positions of so many new trials, which failed: nothing need be learned from them."""
-    receipt = task.report(
-        state=workload.states(count), goal=np.zeros((count, 13)), cost=0.5, success=False, worker="bench"
-    )
-    return tuple(receipt.seqs)
+def _report(task: Task, count: int) -> list[int]:
+    """Report new trials without success, so that nothing is learned; returns their log positions."""
+    states, goals = workload.states(count), np.zeros((count, workload.P))
+    return list(task.report(state=states, goal=goals, cost=0.5, success=False, worker="bench").seqs)
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    typer.run(_main)

@@ -1,4 +1,4 @@
-"""What is asked and reported in a bench: a task with d = 6, p = 13 and 250 active samples."""
+"""The task of the benchmarks, with d = 6, p = 13 and 250 active samples, and the queries about it."""
 
 from __future__ import annotations
 
@@ -7,13 +7,14 @@ from uuid import UUID
 
 import numpy as np
 
-from crkr.client.task import Task
+from crkr.client import Task
 from crkr.protocol import Array, TaskSpec, Trial, pack, task_key
 
 __all__ = [
     "BUDGET",
     "TASK",
     "D",
+    "P",
     "bench_spec",
     "explain_payload",
     "fill",
@@ -30,11 +31,11 @@ BUDGET: Final = 250
 _BATCH: Final = 500
 
 
-def bench_spec() -> TaskSpec:
+def bench_spec(budget: int = BUDGET) -> TaskSpec:
     """The task that is measured."""
     state = [{"name": f"s{i}", "unit": "m", "low": 0.0, "high": 4.0, "lengthscale": 1.0} for i in range(D)]
     goal = [{"name": f"g{i}", "unit": "rad", "low": -3.0, "high": 3.0, "scale": 1.0} for i in range(P)]
-    return TaskSpec.from_dict({"name": TASK, "state": state, "goal": goal, "budget": BUDGET, "seed": 1})
+    return TaskSpec.from_dict({"name": TASK, "state": state, "goal": goal, "budget": budget, "seed": 1})
 
 
 def key(verb: str) -> str:
@@ -42,17 +43,18 @@ def key(verb: str) -> str:
     return task_key(TASK, verb)
 
 
-def states(count: int, seed: int = 0) -> Array:
+def states(count: int) -> Array:
     """(count, d) states."""
-    return np.random.default_rng(seed).uniform(0.0, 4.0, (count, D))
+    return np.random.default_rng(0).uniform(0.0, 4.0, (count, D))
 
 
 def fill(task: Task, count: int) -> None:
-    """Reports `count` trials that the task may learn from, and waits until it has."""
+    """Report `count` eligible trials, and wait until they are learned."""
     spec = bench_spec()
     for first in range(0, count, _BATCH):
         numbers = range(first, min(first + _BATCH, count))
-        task.report_trials([_trial(spec, number) for number in numbers], wait=True, timeout_s=120.0)
+        trials = [Trial.from_wire(_trial_map(number), spec) for number in numbers]
+        task.report_trials(trials, wait=True, timeout_s=120.0)
 
 
 def predict_payload() -> bytes:
@@ -66,20 +68,15 @@ def explain_payload() -> bytes:
 
 
 def report_payload(number: int) -> bytes:
-    """One trial that nobody reported yet; it failed, so that nothing need be learned from it."""
-    return pack({"trials": [{**_map(number), "success": False, "worker": "bench"}]})
+    """A new trial for each number, without success, so that the server learns nothing from it."""
+    return pack({"trials": [{**_trial_map(number), "success": False, "worker": "bench"}]})
 
 
-def _trial(spec: TaskSpec, number: int) -> Trial:
-    return Trial.from_wire(_map(number), spec)
-
-
-def _map(number: int) -> dict[str, Any]:
+def _trial_map(number: int) -> dict[str, Any]:
     rng = np.random.default_rng(number)
-    identity = UUID(int=number + 1).bytes
     goal = rng.uniform(-1.0, 1.0, P)
     return {
-        "id": identity,
+        "id": UUID(int=number + 1).bytes,
         "state": rng.uniform(0.0, 4.0, D),
         "goal": goal,
         "cost": float(rng.uniform()),

@@ -5,7 +5,7 @@ import pytest
 
 from crkr.dashboard import EpochResult, Feed, Progress, Row, Telemetry
 from crkr.dashboard.feed import MAX_WAITING
-from crkr.dashboard.poller import News
+from crkr.dashboard.poller import Update
 from crkr.protocol import Internal, StoredTrial, Unavailable
 
 Make = Callable[..., StoredTrial]
@@ -66,7 +66,7 @@ def feed(notebook: Notebook) -> Feed:
 def test_an_evaluation_that_waits_for_more_trials_is_told_at_the_end(
     feed: Feed, notebook: Notebook, stored: Make
 ) -> None:
-    feed.news(News(trials=tuple(stored(seq, "evaluation", info={"epoch": 0}) for seq in (1, 2))), 0.0)
+    feed.update(Update(trials=tuple(stored(seq, "evaluation", info={"epoch": 0}) for seq in (1, 2))), 0.0)
     feed.step(0.0)
     assert notebook.epochs == []
     feed.finish()
@@ -78,10 +78,10 @@ def test_a_picture_waits_until_the_log_has_its_trial(
     feed: Feed, notebook: Notebook, stored: Make, message: Message
 ) -> None:
     feed.publication("trial", message(2))
-    feed.news(News(trials=(stored(1),)), 0.0)
+    feed.update(Update(trials=(stored(1),)), 0.0)
     feed.step(0.0)
     assert notebook.pictures == []
-    feed.news(News(trials=(stored(2),)), 0.5)
+    feed.update(Update(trials=(stored(2),)), 0.5)
     feed.step(0.5)
     feed.step(0.6)
     assert notebook.pictures == [(2, 2)]
@@ -89,7 +89,7 @@ def test_a_picture_waits_until_the_log_has_its_trial(
 
 
 def test_trials_are_told_though_every_publication_was_lost(feed: Feed, notebook: Notebook, stored: Make) -> None:
-    feed.news(News(trials=tuple(stored(seq) for seq in range(1, 100))), 0.0)
+    feed.update(Update(trials=tuple(stored(seq) for seq in range(1, 100))), 0.0)
     feed.step(0.0)
     assert notebook.seqs == list(range(1, 100))
 
@@ -98,7 +98,7 @@ def test_a_picture_of_a_trial_that_the_log_does_not_have_is_dropped_and_counted(
     feed: Feed, notebook: Notebook, stored: Make, message: Message
 ) -> None:
     feed.publication("trial", message(2))
-    feed.news(News(trials=(stored(1), stored(3))), 0.0)
+    feed.update(Update(trials=(stored(1), stored(3))), 0.0)
     feed.step(0.0)
     assert notebook.pictures == []
     assert feed.dropped == 1
@@ -140,28 +140,28 @@ def test_notices_of_the_model_are_no_pictures(feed: Feed) -> None:
 
 def test_a_server_that_is_away_is_said_once_and_its_return_too(feed: Feed, notebook: Notebook, stored: Make) -> None:
     for _ in range(3):
-        feed.news(News(lost=Unavailable("no answer")), 0.0)
-    feed.news(News(trials=(stored(1),)), 1.0)
-    feed.news(News(trials=(stored(2),)), 2.0)
+        feed.update(Update(lost=Unavailable("no answer")), 0.0)
+    feed.update(Update(trials=(stored(1),)), 1.0)
+    feed.update(Update(trials=(stored(2),)), 2.0)
     assert notebook.lines == ["the server does not answer; waiting for it", "the server answers again"]
     assert notebook.warned == [True, False]
 
 
 def test_an_error_of_the_server_is_said_in_its_words(feed: Feed, notebook: Notebook) -> None:
-    feed.news(News(lost=Internal("a page is missing")), 0.0)
+    feed.update(Update(lost=Internal("a page is missing")), 0.0)
     assert notebook.lines == ["INTERNAL: a page is missing"]
 
 
 def test_a_log_that_became_shorter_is_another_one(feed: Feed, notebook: Notebook, stored: Make) -> None:
-    feed.news(News(trials=(stored(9),)), 0.0)
+    feed.update(Update(trials=(stored(9),)), 0.0)
     for _ in range(2):
-        feed.news(News(status={"seq": 3}), 0.0)
+        feed.update(Update(status={"seq": 3}), 0.0)
     assert len(notebook.lines) == 1
     assert "ends at 3" in notebook.lines[0]
 
 
 def test_a_finished_evaluation_is_told_once(feed: Feed, notebook: Notebook, stored: Make) -> None:
-    feed.news(News(trials=(stored(1, "evaluation", info={"epoch": 0}),)), 0.0)
+    feed.update(Update(trials=(stored(1, "evaluation", info={"epoch": 0}),)), 0.0)
     for now in (1.0, 10.0, 20.0):
         feed.step(now)
     assert notebook.epochs == [0]
@@ -181,7 +181,7 @@ def test_the_picture_by_the_worker_that_the_log_names_goes_before_others(stored:
         feed.publication("trial", message(1, worker=f"made-up-{number}"))
     feed.publication("trial", message(1))
     feed.publication("trial", message(2, worker="another"))
-    feed.news(News(trials=(stored(1), stored(2))), 0.0)
+    feed.update(Update(trials=(stored(1), stored(2))), 0.0)
     feed.step(0.0)
     assert view.lines == ["crane-1", "another"]
     assert feed.dropped == 20
@@ -190,7 +190,7 @@ def test_the_picture_by_the_worker_that_the_log_names_goes_before_others(stored:
 def test_a_trial_is_shown_once_however_often_it_is_published(
     feed: Feed, notebook: Notebook, stored: Make, message: Message
 ) -> None:
-    feed.news(News(trials=(stored(1),)), 0.0)
+    feed.update(Update(trials=(stored(1),)), 0.0)
     for now in range(5):
         feed.publication("trial", message(1))
         feed.step(float(now))
@@ -212,7 +212,7 @@ def test_a_publication_that_breaks_the_view_is_counted_and_the_next_is_shown(sto
 
     view = Brittle()
     feed = Feed(view)
-    feed.news(News(trials=(stored(1), stored(2))), 0.0)
+    feed.update(Update(trials=(stored(1), stored(2))), 0.0)
     for seq in (1, 2):
         feed.publication("trial", message(seq))
     feed.step(0.0)

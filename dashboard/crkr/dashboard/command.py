@@ -16,10 +16,10 @@ from crkr.client import Client
 from crkr.client.cli.console import configure_logging, stderr, stdout
 from crkr.client.cli.options import Connect, LogLevel, Overwrite, Timeout, ZenohConfig
 from crkr.client.cli.output_file import beside, check_output
-from crkr.dashboard.ports import choose_port
-from crkr.dashboard.sessions import LiveSession, ReplaySession, Session
-from crkr.dashboard.viewer import Viewer, page_address, require_display, stream_address
-from crkr.dashboard.watch_loop import StopRequest
+from crkr.client.cli.stop_request import StopRequest
+from crkr.dashboard.live_session import LiveSession
+from crkr.dashboard.stored_session import StoredSession
+from crkr.dashboard.viewer import Viewer, choose_port, page_address, require_display, stream_address
 from crkr.protocol import Unavailable
 
 if TYPE_CHECKING:
@@ -83,14 +83,14 @@ def watch(
     configure_logging(log_level)
     target = None if save is None else _Target(save, overwrite=overwrite)
     with ExitStack() as stack:
-        stop = stack.enter_context(StopRequest())
-        session: LiveSession | ReplaySession
+        stop = stack.enter_context(StopRequest(second_ends=True))
+        session: LiveSession | StoredSession
         if replay is None:
             client = stack.enter_context(Client(connect, timeout_s=timeout, zenoh_config=zenoh_config))
             session = LiveSession(client, task, patience, stop, _note)
         else:
             _refuse_given(context, ("connect", "timeout", "zenoh_config", "patience"))
-            session = stack.enter_context(closing(ReplaySession(replay, task, stop)))
+            session = stack.enter_context(closing(StoredSession(replay, task, stop)))
         if native:
             require_display()
         if terminal:
@@ -113,7 +113,7 @@ def _refuse_given(context: typer.Context, names: Sequence[str]) -> None:
             raise typer.BadParameter(f"--replay asks no server; leave out --{name.replace('_', '-')}")
 
 
-def _in_terminal(session: Session) -> bool:
+def _in_terminal(session: LiveSession | StoredSession) -> bool:
     from crkr.dashboard.terminal import TerminalDisplay
 
     with TerminalDisplay(stdout, session.task, replayed=session.replayed) as display:
@@ -121,7 +121,7 @@ def _in_terminal(session: Session) -> bool:
     return True
 
 
-def _in_file(session: Session, target: _Target) -> bool:
+def _in_file(session: LiveSession | StoredSession, target: _Target) -> bool:
     """Returns whether the recording was completed in time."""
     from crkr.dashboard.rerun_view import Recording, RerunDisplay
 
@@ -135,7 +135,7 @@ def _in_file(session: Session, target: _Target) -> bool:
     return complete
 
 
-def _in_rerun(session: LiveSession | ReplaySession, places: _Places, native: bool, target: _Target | None) -> bool:
+def _in_rerun(session: LiveSession | StoredSession, places: _Places, native: bool, target: _Target | None) -> bool:
     """Returns whether the recording was completed in time."""
     from crkr.dashboard.rerun_view import Recording, RerunDisplay
 
@@ -146,7 +146,7 @@ def _in_rerun(session: LiveSession | ReplaySession, places: _Places, native: boo
         display = RerunDisplay(recording, session.task, replayed=session.replayed)
         with _viewer(places, native) as viewer:
             display.finish(session.show(display, PICTURES_S, lambda: viewer.is_running))
-            if isinstance(session, ReplaySession):
+            if isinstance(session, StoredSession):
                 _note("all of it is shown; Ctrl-C ends this")
                 session.stay(lambda: viewer.is_running)
             if not (native or session.stop or viewer.is_running):
@@ -157,7 +157,7 @@ def _in_rerun(session: LiveSession | ReplaySession, places: _Places, native: boo
     return complete
 
 
-def _close(recording: Recording, session: Session, target: _Target | None, failed: bool) -> bool:
+def _close(recording: Recording, session: LiveSession | StoredSession, target: _Target | None, failed: bool) -> bool:
     complete = recording.close(CLOSE_REPLAY_S if session.replayed and not session.stop else CLOSE_S)
     if target is None:
         return complete

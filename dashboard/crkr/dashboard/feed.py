@@ -12,20 +12,52 @@ import math
 from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, final
+from typing import Any, Final, Protocol, final
 
-from crkr.client.network.subscription import Subscription
-from crkr.dashboard.poller import News
+from crkr.client import Subscription
+from crkr.dashboard.poller import Update
 from crkr.dashboard.progress import EpochResult, Progress, Row
 from crkr.dashboard.telemetry import Telemetry
-from crkr.dashboard.view import View
 from crkr.protocol import CrkrError, StoredTrial, Unavailable
 
-__all__ = ["Feed"]
+__all__ = ["NOT_STORED", "Feed", "View"]
 
 _logger = logging.getLogger(__name__)
 MAX_WAITING: Final = 512
 MAX_REMEMBERED: Final = 4096
+NOT_STORED: Final = "Replayed from the log, which has no poses, paths, widths or durations: workers only publish them."
+
+
+class View(Protocol):
+    """A display. It is called from one thread and must not wait."""
+
+    def task(self, description: str) -> None:
+        """What the task says of itself, "" if nothing; before all else."""
+        ...
+
+    def trials(self, rows: Sequence[Row], progress: Progress) -> None:
+        """New trials of the log, in order."""
+        ...
+
+    def picture(self, row: Row, telemetry: Telemetry) -> None:
+        """What a worker published about a trial that was told before."""
+        ...
+
+    def epoch(self, result: EpochResult, progress: Progress) -> None:
+        """An evaluation is complete."""
+        ...
+
+    def status(self, status: Mapping[str, Any], progress: Progress, now: float) -> None:
+        """The server's answer to `status`; `now` is monotonic [s]."""
+        ...
+
+    def say(self, message: str, *, warning: bool = False) -> None:
+        """One line for people."""
+        ...
+
+    def tick(self, now: float, progress: Progress) -> None:
+        """Time passed; `now` is monotonic [s]."""
+        ...
 
 
 @final
@@ -40,7 +72,7 @@ class _Told:
 
 @final
 class Feed:
-    """Turns news and publications into calls of a view.
+    """Turns updates and publications into calls of a view.
 
     Args:
         view: What to tell.
@@ -113,24 +145,24 @@ class Feed:
             worker = str(message.get("worker"))[:128]
             self._view.say(f"worker {worker} refused a goal that is out of bounds: {self.refused} so far", warning=True)
 
-    def news(self, news: News, now: float) -> None:
+    def update(self, update: Update, now: float) -> None:
         """Takes what the server answered; `now` is monotonic [s]."""
-        if news.lost is not None:
-            self._note_loss(news)
+        if update.lost is not None:
+            self._note_loss(update)
             return
         if self._lost:
             self._lost = False
             self._view.say("the server answers again")
-        if news.trials:
-            rows = [self.progress.add(stored, now) for stored in news.trials]
-            self._remember(rows, news.trials)
+        if update.trials:
+            rows = [self.progress.add(stored, now) for stored in update.trials]
+            self._remember(rows, update.trials)
             self._view.trials(rows, self.progress)
-            if not (news.more or self._caught_up):
+            if not (update.more or self._caught_up):
                 self._caught_up = True
                 _logger.info("caught up with %d trials, seq %d", sum(self.progress.kinds.values()), self.progress.seq)
-        if news.status is not None:
-            self._compare(news.status)
-            status = news.status
+        if update.status is not None:
+            self._compare(update.status)
+            status = update.status
             self._attempt(lambda: self._view.status(status, self.progress, now))
 
     def step(self, now: float) -> None:
@@ -166,12 +198,12 @@ class Feed:
         while len(self._told) > MAX_REMEMBERED:
             self._told.popitem(last=False)
 
-    def _note_loss(self, news: News) -> None:
-        if self._lost or news.lost is None:
+    def _note_loss(self, update: Update) -> None:
+        if self._lost or update.lost is None:
             return
         self._lost = True
-        quiet = isinstance(news.lost, Unavailable)
-        reason = "the server does not answer; waiting for it" if quiet else f"{news.lost.code}: {news.lost.message}"
+        quiet = isinstance(update.lost, Unavailable)
+        reason = "the server does not answer; waiting for it" if quiet else f"{update.lost.code}: {update.lost.message}"
         self._view.say(reason, warning=True)
 
     def _compare(self, status: Mapping[str, Any]) -> None:

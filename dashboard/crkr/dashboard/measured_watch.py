@@ -22,12 +22,11 @@ import typer
 
 from crkr.client import Client, Subscription
 from crkr.dashboard.command import LOOPBACK, PICTURES_S, STREAM_PORT
-from crkr.dashboard.feed import Feed
-from crkr.dashboard.ports import choose_port
+from crkr.dashboard.feed import Feed, View
+from crkr.dashboard.live_session import follow
 from crkr.dashboard.progress import Progress, Row
 from crkr.dashboard.telemetry import Telemetry
-from crkr.dashboard.view import View
-from crkr.dashboard.watch_loop import follow
+from crkr.dashboard.viewer import choose_port
 
 __all__ = ["Meter", "growth", "main"]
 

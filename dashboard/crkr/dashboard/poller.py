@@ -12,7 +12,7 @@ from typing import Any, Final, final
 from crkr.client import Task
 from crkr.protocol import CrkrError, Internal, StoredTrial
 
-__all__ = ["News", "Poller"]
+__all__ = ["Poller", "Update"]
 
 SAMPLES_EVERY_S: Final = 0.5
 STATUS_EVERY_S: Final = 1.0
@@ -23,7 +23,7 @@ INTERRUPTED_S: Final = 1.0
 
 @final
 @dataclass(frozen=True, slots=True)
-class News:
+class Update:
     """What one question brought.
 
     Attributes:
@@ -53,7 +53,7 @@ class Poller:
         self._interrupt = interrupt
         self._after = 0
         self._stop = threading.Event()
-        self._news: queue.Queue[News] = queue.Queue(maxsize=8)
+        self._updates: queue.Queue[Update] = queue.Queue(maxsize=8)
         self._thread = threading.Thread(target=self._run, name="crkr-poller", daemon=True)
 
     def __enter__(self) -> Poller:
@@ -67,12 +67,12 @@ class Poller:
             self._interrupt()
             self._thread.join(timeout=INTERRUPTED_S)
 
-    def take(self) -> list[News]:
+    def take(self) -> list[Update]:
         """What came since the last call; never waits."""
         taken = []
         try:
             while True:
-                taken.append(self._news.get_nowait())
+                taken.append(self._updates.get_nowait())
         except queue.Empty:
             return taken
 
@@ -82,15 +82,15 @@ class Poller:
             try:
                 more = self._ask_trials()
                 if time.monotonic() >= next_status:
-                    self._put(News(status=self._task.status()))
+                    self._put(Update(status=self._task.status()))
                     next_status = time.monotonic() + STATUS_EVERY_S
             except CrkrError as error:
                 if self._stop.is_set():
                     return
-                self._put(News(lost=error))
+                self._put(Update(lost=error))
                 more = False
             except BaseException as error:  # whatever an answer holds, the thread asks again
-                self._put(News(lost=Internal(f"an answer cannot be read: {type(error).__name__}: {error!s:.200}")))
+                self._put(Update(lost=Internal(f"an answer cannot be read: {type(error).__name__}: {error!s:.200}")))
                 more = False
             if not more:
                 self._stop.wait(SAMPLES_EVERY_S)
@@ -99,14 +99,14 @@ class Poller:
         trials, following = self._task.samples(after=self._after, limit=PAGE)
         if trials:
             self._after = trials[-1].seq
-            self._put(News(trials=tuple(trials), more=following is not None))
+            self._put(Update(trials=tuple(trials), more=following is not None))
         return following is not None
 
-    def _put(self, news: News) -> None:
+    def _put(self, update: Update) -> None:
         """Waits while the display is behind, so that a long log is not held in memory."""
         while not self._stop.is_set():
             try:
-                self._news.put(news, timeout=0.2)
+                self._updates.put(update, timeout=0.2)
             except queue.Full:
                 continue
             return

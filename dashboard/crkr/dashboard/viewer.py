@@ -1,4 +1,4 @@
-"""Rerun's viewer as a child process: its web page on loopback, or its window."""
+"""Rerun's viewer as a child process, its web page or its window, and the ports for them."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import json
 import logging
 import os
 import signal
+import socket
 import subprocess
 import sys
 import tempfile
@@ -20,12 +21,13 @@ from urllib.parse import quote
 
 from crkr.protocol import Invalid, Unavailable
 
-__all__ = ["Viewer", "page_address", "require_display", "stream_address"]
+__all__ = ["Viewer", "choose_port", "page_address", "require_display", "stream_address"]
 
 _logger = logging.getLogger(__name__)
 SERVING: Final = "Hosting a web-viewer at"
 READY_S: Final = 20.0
 ENDS_S: Final = 1.0
+TRIED: Final = 100  # ports
 
 # Asks Linux to end the child should this process be killed, and becomes the child: no viewer is left behind.
 _TIED: Final = (
@@ -44,6 +46,38 @@ def page_address(host: str, web_port: int, port: int) -> str:
     """What to open in a browser."""
     stream = quote(stream_address(host, port), safe="")
     return f"http://{host}:{web_port}/?url={stream}&theme=dark&hide_welcome_screen=1&persist=0"
+
+
+def choose_port(host: str, given: int | None, default: int) -> int:
+    """A port that can be listened on.
+
+    Args:
+        host: Address to listen on.
+        given: The port that was asked for, or None.
+        default: The first port to try where none was asked for.
+
+    Raises:
+        Invalid: The given port is taken, or a hundred in a row are.
+    """
+    if given is not None:
+        if not _is_free(host, given):
+            raise Invalid(f"port {given} on {host} is taken; choose another, or none and a free one is found")
+        return given
+    for port in range(default, default + TRIED):
+        if _is_free(host, port):
+            return port
+    raise Invalid(f"no free port from {default} to {default + TRIED - 1} on {host}")
+
+
+def _is_free(host: str, port: int) -> bool:
+    with socket.socket() as probe:
+        # As servers do: a connection of an earlier run may linger on the port.
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((host, port))
+        except OSError:
+            return False
+    return True
 
 
 def require_display() -> None:

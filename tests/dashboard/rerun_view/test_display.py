@@ -8,7 +8,7 @@ from rerun.chunk import RrdReader
 
 from crkr.client.tally import wilson_interval
 from crkr.dashboard import Feed
-from crkr.dashboard.poller import News
+from crkr.dashboard.poller import Update
 from crkr.dashboard.rerun_view import Recording, RerunDisplay
 from crkr.dashboard.rerun_view.curves import MAX_PHASES
 from crkr.protocol import StoredTrial
@@ -39,14 +39,14 @@ def tables(recording: Recording, file: Path, read: Read, stored: Make, message: 
         hit = seq % 4 != 0
         return stored(seq, cost=seq / 100, success=hit, info={"reason": "lifted" if hit else "stuck | odd"})
 
-    feed.news(News(trials=tuple(ball(seq, 0, seq > 2) for seq in range(1, 5))), 0.0)
+    feed.update(Update(trials=tuple(ball(seq, 0, seq > 2) for seq in range(1, 5))), 0.0)
     feed.step(0.0)
-    feed.news(News(trials=tuple(trial(seq) for seq in range(5, 13)), status=STATUS), 10.0)
+    feed.update(Update(trials=tuple(trial(seq) for seq in range(5, 13)), status=STATUS), 10.0)
     for seq in range(5, 13):
         feed.publication("trial", message(seq))
     feed.publication("trial", {"seq": 1})
     feed.step(10.0)
-    feed.news(News(trials=tuple(ball(seq, 1, True) for seq in range(13, 17))), 20.0)
+    feed.update(Update(trials=tuple(ball(seq, 1, True) for seq in range(13, 17))), 20.0)
     feed.step(20.0)
     display.finish(feed.progress)
     assert recording.close(5.0)
@@ -136,7 +136,7 @@ def test_the_layout_is_sent_before_any_data(
 ) -> None:
     feed = Feed(display := RerunDisplay(recording, "crane"))
     now = time.monotonic()
-    feed.news(News(trials=(stored(1),), status=STATUS), now)
+    feed.update(Update(trials=(stored(1),), status=STATUS), now)
     feed.step(now)
     display.finish(feed.progress)
     assert recording.close(5.0)
@@ -155,7 +155,7 @@ def test_durations_of_ever_new_names_are_other(
 ) -> None:
     display = RerunDisplay(recording, "crane")
     feed = Feed(display)
-    feed.news(News(trials=tuple(stored(seq) for seq in range(1, 60))), 0.0)
+    feed.update(Update(trials=tuple(stored(seq) for seq in range(1, 60))), 0.0)
     for seq in range(1, 60):
         feed.publication("trial", message(seq, timing={f"step {seq}": 1.0, f"wait {seq}": 2.0}))
     feed.step(0.0)

@@ -7,8 +7,8 @@ import pytest
 
 from crkr.dashboard import Progress, Row, Telemetry
 from crkr.dashboard.rerun_view import Recording
-from crkr.dashboard.rerun_view.colours import FAILURE, SUCCESS
-from crkr.dashboard.rerun_view.robots import ALONE_S, MAX_BODIES, MAX_PATHS, MAX_SCENES, MAX_WORKERS, Stage
+from crkr.dashboard.rerun_view.blueprint import FAILURE, SUCCESS
+from crkr.dashboard.rerun_view.robots import ALONE_S, MAX_BODIES, MAX_PATHS, MAX_SCENES, MAX_WORKERS, Robots
 from crkr.protocol import StoredTrial
 
 Make = Callable[..., StoredTrial]
@@ -24,12 +24,12 @@ def said() -> list[str]:
 
 
 @pytest.fixture
-def stage(recording: Recording, said: list[str]) -> Stage:
-    return Stage(recording, said.append)
+def stage(recording: Recording, said: list[str]) -> Robots:
+    return Robots(recording, said.append)
 
 
 @pytest.fixture
-def show(stage: Stage, stored: Make, message: Message) -> Show:
+def show(stage: Robots, stored: Make, message: Message) -> Show:
     """Counts trial `seq` and puts what its worker published on the stage."""
     progress = Progress()
 
@@ -47,7 +47,7 @@ def values(batches: list[Any], column: str) -> list[Any]:
 
 
 def test_poses_go_out_as_moves_of_named_frames(
-    stage: Stage, show: Show, message: Message, recording: Recording, file: Path, read: Read
+    stage: Robots, show: Show, message: Message, recording: Recording, file: Path, read: Read
 ) -> None:
     show(1)
     for now in (0.0, 0.05, 1.0):
@@ -68,7 +68,7 @@ def test_poses_go_out_as_moves_of_named_frames(
     np.testing.assert_allclose(sorted(times), np.linspace(0.0, 0.1, 4) * 1e9, atol=1)  # nanoseconds
 
 
-def test_motion_follows_the_clock(stage: Stage, show: Show, recording: Recording, file: Path, read: Read) -> None:
+def test_motion_follows_the_clock(stage: Robots, show: Show, recording: Recording, file: Path, read: Read) -> None:
     show(1)
     stage.tick(10.0)
     stage.tick(10.04)
@@ -78,7 +78,7 @@ def test_motion_follows_the_clock(stage: Stage, show: Show, recording: Recording
 
 
 def test_trials_that_come_faster_than_they_play_leave_their_paths(
-    stage: Stage, show: Show, recording: Recording, file: Path, read: Read
+    stage: Robots, show: Show, recording: Recording, file: Path, read: Read
 ) -> None:
     show(1)
     stage.tick(0.0)
@@ -97,7 +97,7 @@ def test_trials_that_come_faster_than_they_play_leave_their_paths(
 
 
 def test_every_worker_has_a_world_of_its_own_beside_the_others(
-    stage: Stage, show: Show, recording: Recording, file: Path, read: Read
+    stage: Robots, show: Show, recording: Recording, file: Path, read: Read
 ) -> None:
     for seq, worker in enumerate(["crane-1", "crane-2", "odd / name"], 1):
         show(seq, worker=worker)
@@ -112,7 +112,7 @@ def test_every_worker_has_a_world_of_its_own_beside_the_others(
 
 
 def test_a_scene_that_is_sent_again_is_drawn_once(
-    stage: Stage, show: Show, recording: Recording, file: Path, read: Read
+    stage: Robots, show: Show, recording: Recording, file: Path, read: Read
 ) -> None:
     for seq in range(1, 5):
         show(seq)
@@ -125,7 +125,7 @@ def test_a_scene_that_is_sent_again_is_drawn_once(
 
 
 def test_demonstrations_are_played_where_the_first_worker_learns(
-    stage: Stage, show: Show, recording: Recording, file: Path, read: Read
+    stage: Robots, show: Show, recording: Recording, file: Path, read: Read
 ) -> None:
     show(1, kind="demonstration", worker="teacher")
     stage.tick(0.0)
@@ -136,7 +136,7 @@ def test_demonstrations_are_played_where_the_first_worker_learns(
 
 
 def test_demonstrations_alone_are_played_after_a_while(
-    stage: Stage, show: Show, recording: Recording, file: Path, read: Read
+    stage: Robots, show: Show, recording: Recording, file: Path, read: Read
 ) -> None:
     show(1, kind="demonstration", worker="teacher")
     stage.tick(0.0)
@@ -146,7 +146,7 @@ def test_demonstrations_alone_are_played_after_a_while(
 
 
 def test_endless_workers_do_not_fill_the_stage(
-    stage: Stage, show: Show, recording: Recording, file: Path, read: Read
+    stage: Robots, show: Show, recording: Recording, file: Path, read: Read
 ) -> None:
     for seq in range(1, MAX_WORKERS + 10):
         show(seq, worker=f"w{seq}", scene=None)
@@ -167,7 +167,7 @@ def seen(camera: list[Any], points: np.ndarray[Any, Any]) -> np.ndarray[Any, Any
 
 @pytest.mark.parametrize("count", [1, 3, 9])
 def test_the_camera_has_every_world_in_sight(
-    stage: Stage, show: Show, recording: Recording, file: Path, read: Read, count: int
+    stage: Robots, show: Show, recording: Recording, file: Path, read: Read, count: int
 ) -> None:
     for seq in range(1, count + 1):
         show(seq, worker=f"w{seq}")
@@ -187,7 +187,7 @@ def test_the_camera_has_every_world_in_sight(
 
 
 def test_there_is_a_camera_before_there_is_anything_to_see(
-    stage: Stage, recording: Recording, file: Path, read: Read
+    stage: Robots, recording: Recording, file: Path, read: Read
 ) -> None:
     del stage  # made, and told nothing
     assert recording.close(5.0)
@@ -195,7 +195,7 @@ def test_there_is_a_camera_before_there_is_anything_to_see(
 
 
 def test_names_that_change_with_every_message_do_not_grow_the_recording(
-    stage: Stage,
+    stage: Robots,
     show: Show,
     message: Message,
     said: list[str],
@@ -222,7 +222,7 @@ def test_names_that_change_with_every_message_do_not_grow_the_recording(
 
 
 def test_a_worker_has_its_shapes_drawn_anew_a_few_times_only(
-    stage: Stage, show: Show, message: Message, said: list[str], recording: Recording, file: Path, read: Read
+    stage: Robots, show: Show, message: Message, said: list[str], recording: Recording, file: Path, read: Read
 ) -> None:
     scene = message(1)["scene"]
     for seq in range(1, 3 * MAX_SCENES):

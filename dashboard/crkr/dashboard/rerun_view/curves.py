@@ -10,10 +10,9 @@ from typing import Any, Final, final
 
 import rerun as rr
 
-from crkr.dashboard.names import Names
 from crkr.dashboard.progress import WINDOW, EpochResult, Progress, Row
-from crkr.dashboard.rerun_view.colours import CRITERIA, FAILURE, LINES, MEAN, NEUTRAL, SUCCESS, shade
-from crkr.dashboard.rerun_view.recording import Recording
+from crkr.dashboard.rerun_view.blueprint import CRITERIA, FAILURE, LINES, MEAN, NEUTRAL, SUCCESS, shade
+from crkr.dashboard.rerun_view.recording import NameLimit, Recording
 from crkr.dashboard.status_facts import latency_ms
 from crkr.dashboard.telemetry import Telemetry
 
@@ -37,7 +36,7 @@ class Curves:
 
     def __init__(self, recording: Recording, say: Callable[[str], object]) -> None:
         self._recording = recording
-        self._phases = Names("timed phases", MAX_PHASES, MAX_PHASES, say)
+        self._phases = NameLimit("timed phases", MAX_PHASES, MAX_PHASES, say)
         self._styled: set[Path] = set()
         self._rows: dict[Path, list[tuple[int, int, float]]] = defaultdict(list)
         self._durations: dict[str, list[float]] = defaultdict(list)
@@ -73,7 +72,7 @@ class Curves:
                 self._point(("exploration", name), row, value, shade(colour, 0.4), f"{name}, each trial")
                 self._line(("exploration", f"{name}_mean"), row, sum(recent) / len(recent), colour, f"{name}, last 50")
         for name, duration in telemetry.timing_ms.items():
-            self._durations[name if self._phases.has_place(name) else "other"].append(duration)
+            self._durations[name if self._phases.admits(name) else "other"].append(duration)
 
     def epoch(self, result: EpochResult, progress: Progress) -> None:
         """Success of one evaluation with its 95 % interval."""

@@ -10,15 +10,15 @@ from typing import Any, Final, final
 
 import rerun as rr
 
+from crkr.dashboard.feed import NOT_STORED
 from crkr.dashboard.progress import EpochResult, Progress, Row
-from crkr.dashboard.rerun_view.blueprint import arrangement
+from crkr.dashboard.rerun_view.blueprint import layout
 from crkr.dashboard.rerun_view.curves import Curves
 from crkr.dashboard.rerun_view.recording import Recording
-from crkr.dashboard.rerun_view.robots import Stage
+from crkr.dashboard.rerun_view.robots import Robots
 from crkr.dashboard.rerun_view.text_panels import guide_page, outcomes_page, status_page
 from crkr.dashboard.status_facts import speed
 from crkr.dashboard.telemetry import Telemetry
-from crkr.dashboard.view import NOT_STORED
 from crkr.protocol import printable
 
 __all__ = ["RerunDisplay"]
@@ -43,11 +43,9 @@ class RerunDisplay:
         self._recording = recording
         self._task = task
         self._replayed = replayed
-        recording.layout(
-            arrangement(replayed=replayed)
-        )  # first: a viewer that has data and no layout makes up one of its own
+        recording.layout(layout(replayed=replayed))  # first: a viewer with data and no layout makes up its own
         self._times: dict[str, int] = {"trial": 0, "epoch": 0}
-        self._stage = Stage(recording, self._warn)
+        self._robots = Robots(recording, self._warn)
         self._curves = Curves(recording, self._warn)
         self._status: Mapping[str, Any] = {}
         self._answered = 0.0
@@ -66,8 +64,8 @@ class RerunDisplay:
         self._curves.trials(rows)
 
     def picture(self, row: Row, telemetry: Telemetry) -> None:
-        """Puts a trial on the stage."""
-        self._stage.picture(row, telemetry)
+        """Show a trial in the 3D view."""
+        self._robots.picture(row, telemetry)
         self._curves.picture(row, telemetry)
 
     def epoch(self, result: EpochResult, progress: Progress) -> None:
@@ -96,7 +94,7 @@ class RerunDisplay:
 
     def tick(self, now: float, progress: Progress) -> None:
         """Sends what is due."""
-        self._stage.tick(now)
+        self._robots.tick(now)
         if self._curves.waiting >= MOST_NUMBERS or (now >= self._next_numbers and not self._replayed):
             self._next_numbers = now + NUMBERS_EVERY_S
             self._curves.flush(progress)

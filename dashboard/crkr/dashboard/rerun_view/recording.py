@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Iterable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, final
 
 import rerun as rr
 import rerun.blueprint as rrb
 
-__all__ = ["APPLICATION", "Recording"]
+__all__ = ["APPLICATION", "NameLimit", "Recording"]
 
 _logger = logging.getLogger(__name__)
 APPLICATION: Final = "crkr"  # the viewer keeps a user's layout by it; a run is a recording within it
@@ -80,3 +81,38 @@ class Recording:
             self._stream.flush(timeout_sec=within_s)
         except (RuntimeError, ValueError) as error:  # a viewer did not take its part; a file is written at the end
             _logger.warning("not all of the recording may have reached every viewer yet: %s", error)
+
+
+@final
+class NameLimit:
+    """The names of one kind that are drawn: the first ones, at most `each` for an owner and `total` in all.
+
+    Args:
+        kind: What they name, e.g. "paths".
+        each: The most of one owner.
+        total: The most of all owners.
+        say: Called the first time that a name is not drawn.
+    """
+
+    def __init__(self, kind: str, each: int, total: int, say: Callable[[str], object]) -> None:
+        self._kind = kind
+        self._each = each
+        self._total = total
+        self._say = say
+        self._known: set[tuple[str, str]] = set()
+        self._count: Counter[str] = Counter()
+        self._said = False
+
+    def admits(self, name: str, owner: str = "") -> bool:
+        """Whether the name is drawn; a new one is while there is room."""
+        if (owner, name) in self._known:
+            return True
+        if len(self._known) < self._total and self._count[owner] < self._each:
+            self._known.add((owner, name))
+            self._count[owner] += 1
+            return True
+        if not self._said:
+            self._said = True
+            whose = f" of {owner}" if owner else ""
+            self._say(f"more {self._kind}{whose} than are shown: at most {self._each} each and {self._total} in all")
+        return False

@@ -22,17 +22,14 @@ from typing import Any, Final, final
 import numpy as np
 import rerun as rr
 
-from crkr.dashboard.names import Names
 from crkr.dashboard.progress import Row
-from crkr.dashboard.rerun_view.blueprint import EYE
-from crkr.dashboard.rerun_view.colours import FAILURE, SUCCESS
-from crkr.dashboard.rerun_view.recording import Recording
-from crkr.dashboard.rerun_view.shapes import bounds, shapes_by_body
-from crkr.dashboard.rerun_view.world_layout import VIEW_ANGLE, eye, facing, offset
+from crkr.dashboard.rerun_view.blueprint import EYE, FAILURE, SUCCESS
+from crkr.dashboard.rerun_view.recording import NameLimit, Recording
+from crkr.dashboard.rerun_view.scene import VIEW_ANGLE, bounds, eye, facing, offset, shapes_by_body
 from crkr.dashboard.telemetry import Telemetry
 from crkr.protocol import Geom, Trace
 
-__all__ = ["Stage"]
+__all__ = ["Robots"]
 
 MAX_WORKERS: Final = 64
 MAX_BODIES: Final = (128, 1024)  # of a worker, and of all
@@ -48,7 +45,7 @@ NO_SCENE: Final = (np.array([-1.0, -1.0, 0.0]), np.array([1.0, 1.0, 1.0]))
 @final
 @dataclass(slots=True)
 class _World:
-    """One worker's part of the stage."""
+    """One worker's part of the 3D view."""
 
     name: str
     index: int
@@ -63,7 +60,7 @@ class _World:
 
 
 @final
-class Stage:
+class Robots:
     """Draws what the workers publish.
 
     Args:
@@ -74,8 +71,8 @@ class Stage:
     def __init__(self, recording: Recording, say: Callable[[str], object]) -> None:
         self._recording = recording
         self._say = say
-        self._bodies = Names("bodies", *MAX_BODIES, say)
-        self._paths = Names("paths", *MAX_PATHS, say)
+        self._bodies = NameLimit("bodies", *MAX_BODIES, say)
+        self._paths = NameLimit("paths", *MAX_PATHS, say)
         self._crowded = self._changing = False  # what was told
         self._worlds: dict[str, _World] = {}
         self._early: deque[tuple[Row, Telemetry]] = deque(maxlen=MAX_EARLY)
@@ -104,8 +101,8 @@ class Stage:
 
     def _known_part(self, world: _World, trace: Trace) -> Trace:
         """A trace with the bodies and paths that there is a place for."""
-        kept = [index for index, name in enumerate(trace.bodies) if self._bodies.has_place(name, world.name)]
-        paths = {name: path for name, path in trace.paths.items() if self._paths.has_place(name, world.name)}
+        kept = [index for index, name in enumerate(trace.bodies) if self._bodies.admits(name, world.name)]
+        paths = {name: path for name, path in trace.paths.items() if self._paths.admits(name, world.name)}
         if len(kept) == len(trace.bodies) and len(paths) == len(trace.paths):
             return trace
         return replace(
@@ -180,7 +177,7 @@ class Stage:
     def _draw_scene(self, world: _World, scene: tuple[Geom, ...]) -> None:
         first = not any(other.scene for other in self._worlds.values())
         world.scene = scene
-        shown = [geom for geom in scene if geom.body == "world" or self._bodies.has_place(geom.body, world.name)]
+        shown = [geom for geom in scene if geom.body == "world" or self._bodies.admits(geom.body, world.name)]
         if first and shown:
             self._bounds = bounds(shown)
             for other in self._worlds.values():

@@ -1,27 +1,31 @@
-"""A display of a run that is over, or goes on elsewhere, from the data directory alone: no server is asked.
+"""A task in a data directory, shown on a display without a server.
 
-What reads the directory is found by entry point, so that the dashboard knows no database. The run's own clock, by which
-its trials were stored, stands in for the time that passes.
+An entry point names what reads the directory, so that the dashboard knows no database. The times at which trials were
+stored stand in for the clock.
 """
 
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Iterator, Mapping
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, Final, Protocol, final
 
+from crkr.client.cli.progress import counting
+from crkr.client.cli.stop_request import StopRequest
+from crkr.dashboard.feed import NOT_STORED, View
 from crkr.dashboard.progress import Progress
-from crkr.dashboard.view import NOT_STORED, View
 from crkr.protocol import StoredTrial, TaskSpec, Unsupported
 
-__all__ = ["StoredRun", "open_run", "replay"]
+__all__ = ["StoredRun", "StoredSession", "open_run", "replay"]
 
 GROUP: Final = "crkr.data_directories"
 """Entry points of what reads data directories; `stored-run` is called with a directory and a task's name."""
 
 SMALLEST_PAGE: Final = 25
+LOOK_S: Final = 0.1  # between two looks at whether a shown run was stopped
 PAGES: Final = 1000  # of a long log: more points of the learner's curves, and more tables, than anybody can tell apart
 
 
@@ -89,3 +93,42 @@ def replay(run: StoredRun, view: View, goes_on: Callable[[], bool], done: Callab
         view.epoch(result, progress)
     view.say(NOT_STORED)
     return progress
+
+
+@final
+class StoredSession:
+    """A task in a data directory; opened at once, so that what is wrong with it is said before anything is shown.
+
+    Args:
+        directory: The data directory.
+        task: The task's name.
+        stop: When to end.
+
+    Raises:
+        CrkrError: As `open_run`.
+    """
+
+    replayed: Final = True
+
+    def __init__(self, directory: Path, task: str, stop: StopRequest) -> None:
+        self.task: Final = task
+        self.stop: Final = stop
+        self.begun = False
+        self._run = open_run(directory, task)
+
+    def show(self, view: View, tick_s: float, goes_on: Callable[[], bool] = lambda: True) -> Progress:
+        """Tells the view of every trial, with a progress bar."""
+        del tick_s  # it is as quick as it can be
+        with counting(f"replaying {self.task}", self._run.last) as done:
+            self.begun = True
+            view.task(self._run.spec.description)
+            return replay(self._run, view, lambda: goes_on() and not self.stop, done)
+
+    def stay(self, goes_on: Callable[[], bool]) -> None:
+        """Waits until stopped, or not `goes_on`: what was replayed is there to be looked at."""
+        while goes_on() and not self.stop:
+            time.sleep(LOOK_S)
+
+    def close(self) -> None:
+        """Lets go of the directory."""
+        self._run.close()

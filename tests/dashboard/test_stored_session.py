@@ -14,8 +14,8 @@ import pytest
 from rerun.chunk import RrdReader
 
 from crkr.client import Task
-from crkr.dashboard import EpochResult, Progress, Row, stored_run
-from crkr.dashboard.stored_run import open_run, replay
+from crkr.dashboard import EpochResult, Progress, Row, stored_session
+from crkr.dashboard.stored_session import open_run, replay
 from crkr.protocol import Unsupported
 
 Make = Callable[..., Any]
@@ -108,7 +108,7 @@ def test_it_ends_at_the_page_at_which_it_is_told_to(stored: Make, spec: Any) -> 
 
 
 def test_without_the_server_part_what_to_install_is_said(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(stored_run, "entry_points", lambda **_: EntryPoints())
+    monkeypatch.setattr(stored_session, "entry_points", lambda **_: EntryPoints())
     with pytest.raises(Unsupported, match=r"crkr\[server\]"):
         open_run(tmp_path, "crane")
 

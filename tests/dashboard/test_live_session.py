@@ -10,9 +10,10 @@ from typing import Any
 import pytest
 
 from crkr.client import Client, Task
+from crkr.client.cli.stop_request import StopRequest
 from crkr.dashboard import EpochResult, Feed, Progress, Row, Telemetry
+from crkr.dashboard.live_session import follow, wait_for_task
 from crkr.dashboard.poller import Poller
-from crkr.dashboard.watch_loop import StopRequest, follow, wait_for_task
 from crkr.protocol import TaskSpec, Unavailable, UnknownTask
 
 Message = Callable[..., dict[str, Any]]

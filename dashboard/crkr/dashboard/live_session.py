@@ -1,61 +1,72 @@
-"""The loop behind `crkr watch`: waits for the task, then feeds a display until it is told to stop."""
+"""A task at a server, shown on a display until somebody stops it."""
 
 from __future__ import annotations
 
-import signal
+import logging
 import time
 from collections.abc import Callable
-from types import FrameType
-from typing import Any, Final, final
+from typing import Final, final
 
 from crkr.client import Client, Task
-from crkr.dashboard.feed import Feed
+from crkr.client.cli.stop_request import StopRequest
+from crkr.dashboard.feed import Feed, View
 from crkr.dashboard.poller import Poller
-from crkr.protocol import Unavailable, UnknownTask
+from crkr.dashboard.progress import Progress
+from crkr.protocol import CrkrError, Unavailable, UnknownTask
 
-__all__ = ["StopRequest", "follow", "wait_for_task"]
+__all__ = ["LiveSession", "follow", "wait_for_task"]
 
-SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # the last when a terminal is closed
+_logger = logging.getLogger(__name__)
 PAUSE_S: Final = 0.2
 MAX_BURST: Final = 200  # publications between two looks at the clock
 
 
 @final
-class StopRequest:
-    """Becomes true at the first SIGINT, SIGTERM or SIGHUP while entered; main thread only. `nohup` keeps its meaning.
+class LiveSession:
+    """A task at a server.
 
-    A plain flag: the handler runs on the main thread, and an event's lock may just then be held by that very thread.
-    From then on a further signal ends the process at once, whatever it is doing; a further SIGHUP does not, since shell
-    and kernel both send one when a terminal is closed.
+    Args:
+        client: To ask with.
+        task: The task's name.
+        patience_s: How long to wait for server and task.
+        stop: When to end.
+        say: Told what is waited for.
     """
 
-    def __init__(self) -> None:
-        self._told = False
-        self._before: dict[signal.Signals, Any] = {}
+    replayed: Final = False
 
-    def __enter__(self) -> StopRequest:
-        self._before = {number: signal.signal(number, self._note) for number in _heeded()}
-        return self
+    def __init__(
+        self, client: Client, task: str, patience_s: float, stop: StopRequest, say: Callable[[str], object]
+    ) -> None:
+        self.task: Final = task
+        self.stop: Final = stop
+        self.begun = False
+        self._client = client
+        self._patience_s = patience_s
+        self._say = say
 
-    def __exit__(self, *_: object) -> None:
-        for number, handler in self._before.items():
-            signal.signal(number, handler)
+    def show(self, view: View, tick_s: float, goes_on: Callable[[], bool] = lambda: True) -> Progress:
+        """Feeds the view until stopped."""
+        feed = Feed(view)
+        task = wait_for_task(self._client, self.task, self._patience_s, self.stop, self._say)
+        if task is None:
+            return feed.progress
+        self.begun = True
+        view.task(_description(task))
+        follow(self._client, task, feed, tick_s, lambda: goes_on() and not self.stop)
+        feed.finish()
+        if feed.skipped:
+            self._say(f"skipped {feed.skipped} publications or answers that could not be read or shown")
+        return feed.progress
 
-    def __bool__(self) -> bool:
-        return self._told
 
-    def _note(self, number: int, frame: FrameType | None) -> None:
-        del number, frame  # each signal means the same
-        # The system's own action, not KeyboardInterrupt: that would wait for a call into a library to return.
-        for each in self._before:
-            signal.signal(each, signal.SIG_IGN if each is signal.SIGHUP else signal.SIG_DFL)
-        self._told = True
-
-
-def _heeded() -> list[signal.Signals]:
-    """The signals, without SIGHUP where whoever started this process had it ignored."""
-    ignored = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
-    return [number for number in SIGNALS if number is not signal.SIGHUP or not ignored]
+def _description(task: Task) -> str:
+    """What the task says of itself; a display can do without."""
+    try:
+        return task.spec.description
+    except CrkrError as error:
+        _logger.info("the task's description cannot be read: %s", error)
+        return ""
 
 
 def wait_for_task(
@@ -95,9 +106,9 @@ def wait_for_task(
 
 
 def follow(client: Client, task: Task, feed: Feed, tick_s: float, goes_on: Callable[[], bool]) -> None:
-    """Passes on news and publications, and lets the feed step every `tick_s`, while `goes_on`.
+    """Feed a display from the log and the publications, with a step every `tick_s` [s], while `goes_on`.
 
-    At the end it closes the client if that does not answer.
+    If a question is open at the end, the client is closed.
     """
     with task.subscribe() as subscription, Poller(task, client.close) as poller:
         while goes_on():
@@ -105,8 +116,8 @@ def follow(client: Client, task: Task, feed: Feed, tick_s: float, goes_on: Calla
             for _ in range(MAX_BURST):
                 if not feed.take(subscription, max(0.0, deadline - time.monotonic())):
                     break
-            for news in poller.take():
-                feed.news(news, time.monotonic())
+            for update in poller.take():
+                feed.update(update, time.monotonic())
             feed.step(time.monotonic())
             if subscription.closed and goes_on():
                 raise Unavailable("the subscription to the workers' publications has ended; start watch again")

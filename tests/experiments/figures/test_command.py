@@ -11,7 +11,7 @@ from typer import Typer
 from typer.testing import CliRunner
 
 from crkr.experiments.figures.command import figure3, figure4, figure5, figure7, policy
-from crkr.experiments.figures.exploration import WIDTH, explored
+from crkr.experiments.figures.method import WIDTH, explored
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from crkr.client.tally import Tally
-from crkr.experiments.figures.learning import draw_learning
+from crkr.experiments.figures.curves import draw_learning
 from crkr.experiments.learning.run import LearningRun, Score
 
 MARKS = (0, 25, 50, 100, 750, 1000, 1250, 1500)

@@ -8,8 +8,8 @@ import pytest
 from scipy import stats
 
 from crkr.client.tally import Tally
+from crkr.experiments.learning.many_runs import mean_interval, summarise
 from crkr.experiments.learning.run import MARKS, Course, LearningRun, Score, learn_once
-from crkr.experiments.learning.summary import mean_interval, summarise
 from crkr.sim_worker.skill import SkillOptions
 from crkr.sim_worker.table_tennis import TableTennis
 

@@ -40,7 +40,7 @@ def figure3(out: Out = HERE, overwrite: Overwrite = False) -> None:
 
     Example: crkr experiment figure3 --out figures
     """
-    from crkr.experiments.figures.kernel import draw_kernel
+    from crkr.experiments.figures.method import draw_kernel
 
     draw_kernel(_file(out, "figure3.png", overwrite))
     stderr.print(f"{out / 'figure3.png'}: the squared-exponential kernel with a length-scale a dimension")
@@ -55,7 +55,7 @@ def figure4(
 
     Example: crkr experiment figure4 --out figures
     """
-    from crkr.experiments.figures.exploration import draw_exploration, explored
+    from crkr.experiments.figures.method import draw_exploration, explored
 
     path = _file(out, "figure4.png", overwrite)
     moments = explored(seed)
@@ -151,7 +151,7 @@ def _epochs(
     size: tuple[int, int, int, int, int],
     as_json: bool,
 ) -> None:
-    from crkr.experiments.figures.epochs import draw_epochs
+    from crkr.experiments.figures.curves import draw_epochs
     from crkr.experiments.learning.many_runs import learn_many
     from crkr.experiments.learning.run import Course
     from crkr.sim_worker.skill import SkillOptions

@@ -12,8 +12,8 @@ from crkr.client.cli.options import Json, Overwrite
 from crkr.client.cli.output_file import check_output, output_file
 
 if TYPE_CHECKING:
+    from crkr.experiments.learning.many_runs import Summary
     from crkr.experiments.learning.run import Course, LearningRun
-    from crkr.experiments.learning.summary import Summary
     from crkr.sim_worker.skill import SkillOptions
 
 __all__ = ["learning"]
@@ -82,7 +82,7 @@ def _planner(skill: str, options: SkillOptions, course: Course, jobs: int) -> di
 def _result(
     skill: str, options: SkillOptions, course: Course, runs: list[LearningRun], planner: dict[str, float]
 ) -> dict[str, Any]:
-    from crkr.experiments.learning.summary import summarise
+    from crkr.experiments.learning.many_runs import summarise
 
     criteria = dict.fromkeys(name for run in runs for name in run.final.tally.criteria)
     return {
@@ -97,7 +97,7 @@ def _result(
 def _save(out: Path, result: dict[str, Any], runs: list[LearningRun], planner: dict[str, float]) -> None:
     import json as json_format
 
-    from crkr.experiments.figures.learning import draw_learning
+    from crkr.experiments.figures.curves import draw_learning
 
     numbers, figure = (out / name for name in _FILES)
     with output_file(numbers) as partial:

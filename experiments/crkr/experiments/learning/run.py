@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from hashlib import sha256
-from typing import Any, Final, Protocol, final
+from typing import Any, Final, final
 from uuid import UUID
 
 import numpy as np
@@ -100,14 +100,6 @@ class LearningRun:
         return {**shallow, "final": self.final.to_dict(), "curve": [score.to_dict() for score in self.curve]}
 
 
-class Digest(Protocol):
-    """What hashlib makes."""
-
-    def update(self, data: bytes, /) -> None:
-        """Takes in more bytes."""
-        ...
-
-
 def learn_once(skill: Skill, course: Course, seed: int) -> LearningRun:
     """Learns by the skill's own specification and judges the result; the same arguments give the same bits."""
     training, curve, digest = Counter[str](), list[Score](), sha256()
@@ -120,14 +112,18 @@ def learn_once(skill: Skill, course: Course, seed: int) -> LearningRun:
         if course.marks and (trial in course.marks or trial == course.trials):
             curve.append(_judge(skill, learner, trial, course.watched, lambda ball: evaluation_rng(seed, ball)))
 
-    learner = _taught(skill, course, seed, training, digest, watch)
+    learner = _taught(skill, course, seed, training, digest.update, watch)
     final = _judge(skill, learner, course.trials, course.contexts, lambda ball: fresh_rng(course.judge, ball))
     return LearningRun(seed, final, tuple(curve), dict(training.most_common()), filled, digest.hexdigest())
 
 
 def taught(skill: Skill, course: Course, seed: int, show: Callable[[int], object]) -> Learner:
     """The learner of such a run, before it is judged; `show` is told how many trials were done."""
-    return _taught(skill, course, seed, Counter(), sha256(), lambda _, trial: show(trial))
+    return _taught(skill, course, seed, Counter(), _ignore, lambda _, trial: show(trial))
+
+
+def _ignore(_: bytes) -> None:
+    """Take no digest."""
 
 
 def _taught(
@@ -135,7 +131,7 @@ def _taught(
     course: Course,
     seed: int,
     training: Counter[str],
-    digest: Digest,
+    digest: Callable[[bytes], object],
     watch: Callable[[Learner, int], object],
 ) -> Learner:
     learner = Learner(TaskSpec.from_dict({**skill.spec().to_dict(), "seed": seed, **dict(course.settings)}))
@@ -154,13 +150,15 @@ def _taught(
     return learner
 
 
-def _try(skill: Skill, learner: Learner, rng: np.random.Generator, trial_id: UUID, digest: Digest) -> str:
+def _try(
+    skill: Skill, learner: Learner, rng: np.random.Generator, trial_id: UUID, digest: Callable[[bytes], object]
+) -> str:
     """One training trial; how it ended."""
     answer = learner.predict(skill.reset(rng), explore=True, trial_ids=trial_id)
     result = skill.execute(answer.goals)
     kind = "trial" if result.executed else "failed"
     success = result.success and result.executed
-    digest.update(np.array([*answer.states, *answer.goals, np.nan if result.cost is None else result.cost]).tobytes())
+    digest(np.array([*answer.states, *answer.goals, np.nan if result.cost is None else result.cost]).tobytes())
     learner.report(answer, cost=result.cost, success=success, kind=kind, outcome=result.outcome)
     return str(result.info.get("reason", "success" if success else "failure"))
 

@@ -1,8 +1,9 @@
-"""The learning curves of several runs in one figure."""
+"""Learning curves: several runs of one way of learning, or several ways  [Cardoso2017, fig. 5 and 7]."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import cycle
 from pathlib import Path
 from typing import Any, Final
 
@@ -11,7 +12,7 @@ import numpy as np
 from crkr.experiments.learning.run import LearningRun
 from crkr.sim_worker.figure import new_figure, save_figure
 
-__all__ = ["draw_learning"]
+__all__ = ["draw_epochs", "draw_learning"]
 
 COLOURS: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7")  # told apart by the colour-blind too
 EARLY: Final = 50  # trials up to which the horizontal axis is linear
@@ -62,3 +63,31 @@ def _apart(trials: Sequence[int]) -> list[int]:
         if not ticks or trial < EARLY or ticks[-1] > 1.4 * trial:
             ticks.append(trial)
     return ticks
+
+
+def draw_epochs(ways: Mapping[str, Sequence[LearningRun]], criterion: str, title: str, path: Path) -> None:
+    """Saves mean, worst and best run of every way, and where each began to choose among its samples.
+
+    Args:
+        ways: Name -> its runs, with curves over the same trials.
+        criterion: Which success is drawn.
+        title: Of the figure.
+        path: E.g. figure5.png.
+    """
+    figure = new_figure(7.0, 4.2)
+    axes = figure.add_subplot()
+    first = next(iter(ways.values()))
+    trials = [score.trials for score in first[0].curve]
+    for (name, runs), colour in zip(ways.items(), cycle(COLOURS), strict=False):
+        rates = np.array([[score.tally.rate(criterion) for score in run.curve] for run in runs])  # (runs, epochs)
+        axes.fill_between(trials, rates.min(axis=0), rates.max(axis=0), color=colour, alpha=0.12, linewidth=0)
+        axes.plot(trials, rates.mean(axis=0), color=colour, label=f"{name}: {rates[:, -1].mean():.2f} in the end")
+        filled = [run.filled for run in runs if run.filled is not None]
+        if len(filled) == len(runs):
+            axes.axvline(float(np.mean(filled)), color=colour, linestyle=":", linewidth=1.2)
+    axes.plot([], [], color="0.3", linestyle=":", label="from here on, more samples than the budget")
+    axes.set(title=title, xlabel="training trials", ylim=(0.0, 1.01), xlim=(0, trials[-1]))
+    axes.set_ylabel(f"success rate ({criterion}) in {first[0].curve[0].contexts} fixed contexts")
+    axes.grid(alpha=0.3)
+    axes.legend(loc="lower right", title=f"mean and range of {len(first)} runs", fontsize="small")
+    save_figure(figure, path)

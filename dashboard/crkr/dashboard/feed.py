@@ -1,8 +1,8 @@
-"""Joins what the log holds with what the workers publish, and tells a view.
+"""The log and the workers' publications, joined and passed to a display.
 
-The log is the truth about trials: every one is told once and in order, also those from before the display was started,
-and a lost publication or a restarted server costs no point of a curve. Publications add what the log does not hold:
-poses, widths, durations. A picture waits until its trial was read from the log, half a second as a rule.
+The log is the truth about trials. A view gets each trial once and in order, also those from before the display started;
+lost publications and restarts of the server cost no point of a curve. Publications add what the log does not hold:
+poses, widths, durations. A picture waits until its trial is read from the log, usually half a second.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class View(Protocol):
     """A display. It is called from one thread and must not wait."""
 
     def task(self, description: str) -> None:
-        """What the task says of itself, "" if nothing; before all else."""
+        """The task's description, "" without one; called first."""
         ...
 
     def trials(self, rows: Sequence[Row], progress: Progress) -> None:
@@ -40,7 +40,7 @@ class View(Protocol):
         ...
 
     def picture(self, row: Row, telemetry: Telemetry) -> None:
-        """What a worker published about a trial that was told before."""
+        """What a worker published about one of these trials."""
         ...
 
     def epoch(self, result: EpochResult, progress: Progress) -> None:
@@ -52,7 +52,7 @@ class View(Protocol):
         ...
 
     def say(self, message: str, *, warning: bool = False) -> None:
-        """One line for people."""
+        """One line for the user."""
         ...
 
     def tick(self, now: float, progress: Progress) -> None:
@@ -62,8 +62,8 @@ class View(Protocol):
 
 @final
 @dataclass(slots=True)
-class _Told:
-    """A trial of the log: its row, who reported it, and whether a picture of it was shown."""
+class _LoggedTrial:
+    """A trial of the log: its row, its worker, and whether a picture of it was shown."""
 
     row: Row
     worker: str | None
@@ -72,16 +72,16 @@ class _Told:
 
 @final
 class Feed:
-    """Turns updates and publications into calls of a view.
+    """Updates and publications, as calls of a view.
 
     Args:
-        view: What to tell.
+        view: The display.
 
     Attributes:
         progress: The run so far.
         skipped: Publications and answers that could not be read or shown.
-        refused: Goals that workers would not try.
-        dropped: Pictures that waited too long for their trial, or are not its first.
+        refused: Goals that workers refused.
+        dropped: Pictures that waited too long for their trial, or are not the first one of it.
     """
 
     def __init__(self, view: View) -> None:
@@ -90,14 +90,14 @@ class Feed:
         self.refused = 0
         self.dropped = 0
         self._view = view
-        self._told: OrderedDict[int, _Told] = OrderedDict()
+        self._logged: OrderedDict[int, _LoggedTrial] = OrderedDict()
         self._waiting: OrderedDict[tuple[int, str], Telemetry] = OrderedDict()  # by log position and worker
         self._lost = False
         self._ahead = False
         self._caught_up = False
 
     def publication(self, topic: str, message: Mapping[str, Any]) -> None:
-        """Takes one publication; one that cannot be read is counted and skipped."""
+        """Add a publication; one that cannot be read is counted and skipped."""
         if topic not in ("trial", "evaluation"):
             return
         if message.get("kind") == "failed" and "seq" not in message:
@@ -116,7 +116,7 @@ class Feed:
             self.dropped += 1
 
     def take(self, subscription: Subscription, patience_s: float) -> bool:
-        """Takes one publication that comes within `patience_s`; False where none did."""
+        """Add the next publication within `patience_s` [s]; False if there is none."""
         received: list[tuple[str, dict[str, Any]] | None] = []
         self._attempt(lambda: received.append(subscription.receive(patience_s)))
         for each in received:
@@ -126,7 +126,7 @@ class Feed:
         return True
 
     def _attempt(self, action: Callable[[], object]) -> None:
-        """Does something with what others sent; whatever that raises is counted and told, and the display goes on."""
+        """Handle a message from elsewhere; an error is counted and shown, and the display goes on."""
         try:
             action()
         except (KeyboardInterrupt, SystemExit, GeneratorExit):
@@ -139,14 +139,14 @@ class Feed:
                 self._view.say(f"skipped {self.skipped} unreadable publications: {reason}", warning=True)
 
     def _note_refusal(self, message: Mapping[str, Any]) -> None:
-        """A goal that a worker would not try; the log has no such trial."""
+        """Count a goal that a worker refused; the log has no trial of it."""
         self.refused += 1
         if self.refused <= 3 or self.refused % 1000 == 0:
             worker = str(message.get("worker"))[:128]
             self._view.say(f"worker {worker} refused a goal that is out of bounds: {self.refused} so far", warning=True)
 
     def update(self, update: Update, now: float) -> None:
-        """Takes what the server answered; `now` is monotonic [s]."""
+        """Add what the server answered; `now` is monotonic [s]."""
         if update.lost is not None:
             self._note_loss(update)
             return
@@ -166,19 +166,19 @@ class Feed:
             self._attempt(lambda: self._view.status(status, self.progress, now))
 
     def step(self, now: float) -> None:
-        """Passes on what became ready; `now` is monotonic [s]."""
+        """Pass on what is ready; `now` is monotonic [s]."""
         for result in self.progress.finished_epochs(now):
             self._show_epoch(result)
         for key, telemetry in list(self._waiting.items()):
-            told = self._told.get(telemetry.seq)
-            if told is None and telemetry.seq > self.progress.seq:
+            trial = self._logged.get(telemetry.seq)
+            if trial is None and telemetry.seq > self.progress.seq:
                 continue
             del self._waiting[key]
-            if told is None or told.pictured or (telemetry.seq, told.worker) in self._waiting:
+            if trial is None or trial.pictured or (telemetry.seq, trial.worker) in self._waiting:
                 self.dropped += 1  # the picture by the worker that the log names goes before others
                 continue
-            told.pictured = True
-            self._show(told.row, telemetry)
+            trial.pictured = True
+            self._show(trial.row, telemetry)
         self._attempt(lambda: self._view.tick(now, self.progress))
 
     def _show_epoch(self, result: EpochResult) -> None:
@@ -188,15 +188,15 @@ class Feed:
         self._attempt(lambda: self._view.picture(row, telemetry))
 
     def finish(self) -> None:
-        """Passes on evaluations that were still waiting for more trials: none will come."""
+        """Pass on the evaluations that wait for more trials: none will come."""
         for result in self.progress.finished_epochs(math.inf):
             self._show_epoch(result)
 
     def _remember(self, rows: Sequence[Row], trials: Sequence[StoredTrial]) -> None:
         for row, stored in list(zip(rows, trials, strict=True))[-MAX_REMEMBERED:]:
-            self._told[row.seq] = _Told(row, stored.trial.worker)
-        while len(self._told) > MAX_REMEMBERED:
-            self._told.popitem(last=False)
+            self._logged[row.seq] = _LoggedTrial(row, stored.trial.worker)
+        while len(self._logged) > MAX_REMEMBERED:
+            self._logged.popitem(last=False)
 
     def _note_loss(self, update: Update) -> None:
         if self._lost or update.lost is None:

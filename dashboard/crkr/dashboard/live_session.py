@@ -1,4 +1,4 @@
-"""A task at a server, shown on a display until somebody stops it."""
+"""A task at a server, shown on a display until the user stops it."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ class LiveSession:
     Args:
         client: To ask with.
         task: The task's name.
-        patience_s: How long to wait for server and task.
+        patience_s: Longest wait for server and task [s].
         stop: When to end.
-        say: Told what is waited for.
+        say: Called with a line about what is waited for.
     """
 
     replayed: Final = False
@@ -46,7 +46,7 @@ class LiveSession:
         self._say = say
 
     def show(self, view: View, tick_s: float, goes_on: Callable[[], bool] = lambda: True) -> Progress:
-        """Feeds the view until stopped."""
+        """Feed the view until stopped."""
         feed = Feed(view)
         task = wait_for_task(self._client, self.task, self._patience_s, self.stop, self._say)
         if task is None:
@@ -61,7 +61,7 @@ class LiveSession:
 
 
 def _description(task: Task) -> str:
-    """What the task says of itself; a display can do without."""
+    """The task's description, "" where it cannot be read: a display can do without."""
     try:
         return task.spec.description
     except CrkrError as error:
@@ -72,18 +72,18 @@ def _description(task: Task) -> str:
 def wait_for_task(
     client: Client, name: str, patience_s: float, stop: StopRequest, say: Callable[[str], object]
 ) -> Task | None:
-    """The task once its server answers and has it; None when told to stop before.
+    """Wait for a server that answers and has the task; None if stopped before.
 
     Args:
-        client: Its deadline is that of each question, and so the longest that a stop takes.
+        client: Its timeout is that of each question, and so the longest that a stop takes.
         name: The task.
-        patience_s: When to give up [s].
-        stop: Whether to stop; looked at after each question.
-        say: Told once that there is something to wait for.
+        patience_s: Longest wait [s].
+        stop: Checked after each question.
+        say: Called once with what is waited for.
 
     Raises:
-        Unavailable: No server within the patience.
-        UnknownTask: A server, but no such task within the patience.
+        Unavailable: No server answered in time.
+        UnknownTask: A server answered, but has no such task in time.
     """
     task = client.task(name)
     deadline = time.monotonic() + patience_s

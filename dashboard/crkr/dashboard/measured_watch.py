@@ -41,11 +41,11 @@ class Meter:
 
     Args:
         view: The other one; None draws nothing.
-        arrivals: Log position -> when what was published about it was received [monotonic s]; taken out when drawn.
+        arrivals: Log position -> when its publication was received [monotonic s]; removed when drawn.
 
     Attributes:
-        lags: From there until it was handed over [s].
-        sizes: (time [monotonic s], resident bytes, trials) at every second, or nothing where that cannot be told.
+        lags: Time from there until it was drawn [s].
+        sizes: (time [monotonic s], resident bytes, trials) each second; empty where the system does not say.
     """
 
     def __init__(self, view: View | None, arrivals: dict[int, float]) -> None:
@@ -140,7 +140,7 @@ def _summary(meter: Meter, feed: Feed, save: Path | None) -> dict[str, Any]:
 
 
 def growth(sizes: Sequence[tuple[float, float, int]]) -> tuple[float, float]:
-    """Slopes of the resident bytes over time and over trials, of the last two thirds; nan where there are too few."""
+    """Slopes of the resident bytes over time and over trials, of the last two thirds; nan for too few."""
     late = np.array(sizes[len(sizes) // 3 :], dtype=np.float64)
     if len(late) < 3 or np.ptp(late[:, 2]) == 0:
         return float("nan"), float("nan")

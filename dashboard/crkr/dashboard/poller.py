@@ -1,4 +1,4 @@
-"""Asks the server for new trials and its status, in a thread of its own so that no picture waits for an answer."""
+"""A thread that asks the server for new trials and its status, so that no picture waits for an answer."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ __all__ = ["Poller", "Update"]
 SAMPLES_EVERY_S: Final = 0.5
 STATUS_EVERY_S: Final = 1.0
 PAGE: Final = 1000
-ANSWER_S: Final = 0.2  # an answer on its way may take so long at the end
+ANSWER_S: Final = 0.2  # longest wait for an answer at the end
 INTERRUPTED_S: Final = 1.0
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class Update:
-    """What one question brought.
+    """The answer to one question.
 
     Attributes:
         trials: New trials in the order of seq.
-        more: Whether the log has more than these.
+        more: Whether the log has more trials.
         status: The answer to `status`, or None.
         lost: Why the server did not answer, or None.
     """
@@ -41,11 +41,11 @@ class Update:
 
 @final
 class Poller:
-    """Pages through the log from its beginning and then keeps up with it; use as a context manager.
+    """Read the log page by page from its beginning, then follow it; a context manager.
 
     Args:
-        task: What to watch.
-        interrupt: Ends a question that is being asked; called at the end if one is.
+        task: The task.
+        interrupt: Ends an open question; called at the end if there is one.
     """
 
     def __init__(self, task: Task, interrupt: Callable[[], object]) -> None:
@@ -68,7 +68,7 @@ class Poller:
             self._thread.join(timeout=INTERRUPTED_S)
 
     def take(self) -> list[Update]:
-        """What came since the last call; never waits."""
+        """The updates since the last call; never waits."""
         taken = []
         try:
             while True:
@@ -103,7 +103,7 @@ class Poller:
         return following is not None
 
     def _put(self, update: Update) -> None:
-        """Waits while the display is behind, so that a long log is not held in memory."""
+        """Add an update; wait while the display is behind, so that memory does not hold a long log."""
         while not self._stop.is_set():
             try:
                 self._updates.put(update, timeout=0.2)

@@ -22,11 +22,11 @@ from crkr.protocol import StoredTrial, TaskSpec, Unsupported
 __all__ = ["StoredRun", "StoredSession", "open_run", "replay"]
 
 GROUP: Final = "crkr.data_directories"
-"""Entry points of what reads data directories; `stored-run` is called with a directory and a task's name."""
+"""Group of entry points; `stored-run` is called with a data directory and a task's name."""
 
 SMALLEST_PAGE: Final = 25
 LOOK_S: Final = 0.1  # between two looks at whether a shown run was stopped
-PAGES: Final = 1000  # of a long log: more points of the learner's curves, and more tables, than anybody can tell apart
+PAGES: Final = 1000  # of a long log: more points of the learner's curves than a screen shows
 
 
 class StoredRun(Protocol):
@@ -43,20 +43,20 @@ class StoredRun(Protocol):
         ...
 
     def pages(self, size: int) -> Iterator[tuple[list[StoredTrial], Mapping[str, Any]]]:
-        """All trials in the order of seq, each page with the server's `status` after it, as far as the log tells."""
+        """All trials in the order of seq; each page with the `status` after it, without what the log does not hold."""
         ...
 
     def close(self) -> None:
-        """Lets go of the directory."""
+        """Close the directory."""
         ...
 
 
 def open_run(directory: Path, task: str) -> StoredRun:
-    """Opens a data directory for reading.
+    """Open a data directory for reading.
 
     Raises:
-        Unsupported: Nothing that is installed reads data directories.
-        StorageError: There is no log, or it is damaged.
+        Unsupported: No installed package reads data directories.
+        StorageError: The directory has no log, or a damaged one.
         UnknownTask: No such task.
     """
     found = list(entry_points(group=GROUP, name="stored-run"))
@@ -67,13 +67,13 @@ def open_run(directory: Path, task: str) -> StoredRun:
 
 
 def replay(run: StoredRun, view: View, goes_on: Callable[[], bool], done: Callable[[int], None]) -> Progress:
-    """Tells a view of every stored trial, while `goes_on`; returns the run as far as it was told.
+    """Show every stored trial on a view, while `goes_on`; returns the run as far as it was shown.
 
     Args:
-        run: What was stored.
-        view: What to tell.
-        goes_on: Asked before each page.
-        done: Told of every log position reached.
+        run: The stored run.
+        view: The display.
+        goes_on: Called before each page.
+        done: Called with the log position after each page.
 
     Raises:
         StorageError: The log is damaged.
@@ -97,7 +97,7 @@ def replay(run: StoredRun, view: View, goes_on: Callable[[], bool], done: Callab
 
 @final
 class StoredSession:
-    """A task in a data directory; opened at once, so that what is wrong with it is said before anything is shown.
+    """A task in a data directory, which is opened at once: an error comes before anything is shown.
 
     Args:
         directory: The data directory.
@@ -117,18 +117,18 @@ class StoredSession:
         self._run = open_run(directory, task)
 
     def show(self, view: View, tick_s: float, goes_on: Callable[[], bool] = lambda: True) -> Progress:
-        """Tells the view of every trial, with a progress bar."""
-        del tick_s  # it is as quick as it can be
+        """Show every trial on the view, with a progress bar."""
+        del tick_s  # Unused.
         with counting(f"replaying {self.task}", self._run.last) as done:
             self.begun = True
             view.task(self._run.spec.description)
             return replay(self._run, view, lambda: goes_on() and not self.stop, done)
 
-    def stay(self, goes_on: Callable[[], bool]) -> None:
-        """Waits until stopped, or not `goes_on`: what was replayed is there to be looked at."""
+    def wait(self, goes_on: Callable[[], bool]) -> None:
+        """Wait until stopped, or not `goes_on`, while the user looks at the run."""
         while goes_on() and not self.stop:
             time.sleep(LOOK_S)
 
     def close(self) -> None:
-        """Lets go of the directory."""
+        """Close the directory."""
         self._run.close()

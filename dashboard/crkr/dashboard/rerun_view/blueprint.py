@@ -9,7 +9,7 @@ import rerun.blueprint as rrb
 __all__ = ["CRITERIA", "EYE", "FAILURE", "LINES", "MEAN", "NEUTRAL", "SUCCESS", "layout", "shade"]
 
 PATHS_SHOWN: Final = 30  # trials whose paths stay in view
-EYE: Final = "eye"  # the camera of the 3D view, outside of "world" and so no worker's name
+EYE: Final = "eye"  # the camera of the 3D view; outside "world", so no worker can have the name
 
 # 0xRRGGBBAA
 SUCCESS: Final = 0x3DDC84FF
@@ -35,10 +35,10 @@ def shade(colour: int, alpha: float) -> int:
 
 
 def layout(*, replayed: bool = False) -> rrb.Blueprint:
-    """The layout. It knows nothing of the run and can be sent first: the 3D view follows a camera in the data.
+    """The layout, independent of the run: the 3D view follows a camera in the data.
 
     Args:
-        replayed: Leave out what a log cannot fill.
+        replayed: Leave out the panels that a log cannot fill.
     """
     return rrb.Blueprint(
         _stored() if replayed else _live(),

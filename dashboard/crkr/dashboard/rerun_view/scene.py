@@ -24,7 +24,7 @@ ASIDE: Final = np.array([0.74, -0.42, 0.54]) / np.linalg.norm([0.74, -0.42, 0.54
 
 
 def shapes_by_body(geoms: Sequence[Geom]) -> Iterator[tuple[str, str, Any]]:
-    """One archetype for all shapes of a kind on a body: (body, kind, archetype)."""
+    """(body, kind, archetype), one for all shapes of a kind on a body."""
     groups: dict[tuple[str, str], list[Geom]] = defaultdict(list)
     for geom in geoms:
         groups[geom.body, geom.shape].append(geom)
@@ -73,7 +73,7 @@ def _below(geom: Geom) -> np.ndarray[Any, Any]:
 
 
 def offset(index: int, low: np.ndarray[Any, Any], high: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
-    """Where the origin (3,) of worker `index`'s world is drawn [m], with worlds from `low` to `high` (3,)."""
+    """Origin (3,) of the world of worker `index` [m], with worlds from `low` to `high` (3,)."""
     width = GAP * np.maximum(high - low, 0.5)
     return np.array([-(index // COLUMNS) * width[0], (index % COLUMNS) * width[1], 0.0])
 
@@ -81,7 +81,7 @@ def offset(index: int, low: np.ndarray[Any, Any], high: np.ndarray[Any, Any]) ->
 def eye(
     count: int, low: np.ndarray[Any, Any], high: np.ndarray[Any, Any]
 ) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
-    """Where to see all of `count` worlds from `low` to `high` (3,) from: position and target (3,) [m]."""
+    """Position and target (3,) [m] of a camera that sees all of `count` worlds from `low` to `high` (3,)."""
     places = np.array([offset(index, low, high) for index in range(count)])
     ends = np.array([low + places.min(axis=0), high + places.max(axis=0)])
     corners = np.array(list(product(*ends.T)))
@@ -94,9 +94,9 @@ def eye(
 
 
 def facing(position: np.ndarray[Any, Any], target: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
-    """Turns (3, 3) a camera upright towards a target that is not straight above or below it.
+    """Rotation (3, 3) of an upright camera that faces a target, which is not straight above or below it.
 
-    Its columns are what the camera calls right, down and forward, in the frame of position and target (3,) [m].
+    The columns are the camera's right, down and forward in the frame of position and target (3,) [m].
     """
     forward = (target - position) / np.linalg.norm(target - position)
     right = np.cross(forward, [0.0, 0.0, 1.0])

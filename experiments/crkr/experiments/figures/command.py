@@ -1,4 +1,4 @@
-"""`crkr experiment figure3 ...`: the figures of [Cardoso2017], drawn anew by this learner and these simulators."""
+"""`crkr experiment figure3 ...`: the figures of [Cardoso2017], by this learner and these simulators."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ if TYPE_CHECKING:
 
 __all__ = ["figure3", "figure4", "figure5", "figure7", "policy"]
 
-Out = Annotated[Path, typer.Option(file_okay=False, help="Where the figure is saved.")]
+Out = Annotated[Path, typer.Option(file_okay=False, help="Folder to save the figure in.")]
 Seeds = Annotated[int, typer.Option(min=1, max=10_000, help="Runs of each curve, one a seed.")]
 FirstSeed = Annotated[int, typer.Option(min=0, max=2**30, help="Seed of the first run.")]
 Trials = Annotated[int, typer.Option(min=1, max=100_000, help="Training trials of a run.")]
-Balls = Annotated[int, typer.Option(min=1, max=1_000_000, help="Fresh contexts to judge each run on in the end.")]
+Balls = Annotated[int, typer.Option(min=1, max=1_000_000, help="Fresh contexts to evaluate each run on.")]
 Jobs = Annotated[int, typer.Option(min=1, max=256, help="Processes.")]
 HERE: Final = Path("figures")
 
@@ -51,7 +51,7 @@ def figure4(
     seed: Annotated[int, typer.Option(min=0, help="Of the states and draws.")] = 0,
     overwrite: Overwrite = False,
 ) -> None:
-    """Draw how exploration narrows around what was found to be good.
+    """Draw how exploration narrows around good goals.
 
     Example: crkr experiment figure4 --out figures
     """
@@ -68,16 +68,16 @@ def figure5(
     seeds: Seeds = 10,
     first_seed: FirstSeed = 0,
     trials: Trials = 1500,
-    budget: Annotated[int, typer.Option(min=1, max=1000, help="Samples that a prediction may use.")] = 250,
+    budget: Annotated[int, typer.Option(min=1, max=1000, help="Most active samples.")] = 250,
     balls: Balls = 200,
     jobs: Jobs = 2,
     overwrite: Overwrite = False,
     json: Json = False,
 ) -> None:
-    """Learn on past the budget, beside learners that stop at it or know none.
+    """Compare learning past the budget with stopping at it and with no budget.
 
-    Analytic table tennis by the settings of preset `paper`: ANMS chooses from
-    all samples, a rival keeps the first ones, another uses them all.
+    Analytic table tennis with preset `paper`: ANMS selects from all samples,
+    one rival keeps the first ones, another uses all.
 
     Example: crkr experiment figure5 --seeds 10 --jobs 2
     """
@@ -117,11 +117,11 @@ def policy(
     vary: Annotated[str, typer.Option(help="State coordinate to vary.")] = "ball_y",
     seed: FirstSeed = 0,
     trials: Trials = 1500,
-    preset: Annotated[str | None, typer.Option(help="Which settings, e.g. paper.")] = None,
-    environment: Annotated[str | None, typer.Option(help="Which simulator, e.g. analytic.")] = None,
+    preset: Annotated[str | None, typer.Option(help="Settings, e.g. paper.")] = None,
+    environment: Annotated[str | None, typer.Option(help="Simulator, e.g. analytic.")] = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Learn once, and draw what the policy does with the paddle while one coordinate varies.
+    """Learn once, and draw the paddle's goals while one coordinate of the state varies.
 
     Example: crkr experiment policy --vary ball_y --environment analytic
     """
@@ -207,7 +207,7 @@ def _summaries(ways: dict[str, list[LearningRun]]) -> dict[str, dict[str, Any]]:
 
 
 def _file(out: Path, name: str, overwrite: bool) -> Path:
-    """Before the work: what cannot be written, or is there already, should not be found out after it."""
+    """A path that can be written; checked before the work."""
     out.mkdir(parents=True, exist_ok=True)
     check_output(out / name, overwrite=overwrite)
     return out / name

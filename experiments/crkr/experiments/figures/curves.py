@@ -20,10 +20,10 @@ DASH: Final = 3.0  # [points]
 
 
 def draw_learning(runs: Sequence[LearningRun], oracle: Mapping[str, float], title: str, path: Path) -> None:
-    """Saves mean, worst and best run of every criterion over the training trials, as the suffix of `path` says.
+    """Save mean, worst and best run by each criterion over the training trials; `path` has the format as its suffix.
 
     Args:
-        runs: At least one, watched.
+        runs: At least one, with curves.
         oracle: The planner's rates by criterion, drawn as dashed lines; may be empty.
         title: Of the figure.
         path: E.g. learning.png.
@@ -40,7 +40,7 @@ def draw_learning(runs: Sequence[LearningRun], oracle: Mapping[str, float], titl
         (line,) = axes.plot(trials, rates.mean(axis=0), color=colour, marker=".")
         shown.append(((band, line), what))
         if criterion in oracle:
-            # Criteria often agree about the planner: each has its dashes where the one before has its gaps.
+            # The planner's rates are often equal: each line has its dashes in the gaps of the one before.
             dashes = (DASH * index, (DASH, DASH * (len(oracle) - 1) or DASH))
             planned = axes.axhline(oracle[criterion], color=colour, linestyle=dashes)
             shown.append((planned, f"{criterion}: planner, {oracle[criterion]:.3f}"))
@@ -57,7 +57,7 @@ def draw_learning(runs: Sequence[LearningRun], oracle: Mapping[str, float], titl
 
 
 def _apart(trials: Sequence[int]) -> list[int]:
-    """Those whose labels have room, the last one among them."""
+    """The trials whose labels have room, with the last one."""
     ticks: list[int] = []
     for trial in reversed(trials):
         if not ticks or trial < EARLY or ticks[-1] > 1.4 * trial:
@@ -66,11 +66,11 @@ def _apart(trials: Sequence[int]) -> list[int]:
 
 
 def draw_epochs(ways: Mapping[str, Sequence[LearningRun]], criterion: str, title: str, path: Path) -> None:
-    """Saves mean, worst and best run of every way, and where each began to choose among its samples.
+    """Save mean, worst and best run of every way of learning, and when each had more samples than its budget.
 
     Args:
         ways: Name -> its runs, with curves over the same trials.
-        criterion: Which success is drawn.
+        criterion: The criterion of success.
         title: Of the figure.
         path: E.g. figure5.png.
     """

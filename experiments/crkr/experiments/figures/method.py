@@ -28,7 +28,7 @@ SHOWN: Final = 201  # states of a curve
 
 
 def draw_kernel(path: Path) -> None:
-    """Saves the covariance of good goals between the state (0, 0) and those around it."""
+    """Save the covariance of good goals between the state (0, 0) and those around it."""
     figure = new_figure(10.0, 3.4)
     single, double = figure.subplots(1, 2)
     offsets = np.linspace(-REACH, REACH, POINTS)
@@ -61,12 +61,12 @@ def _row(kernel: Kernel, states: np.ndarray) -> np.ndarray:
 @final
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """What is known after some iterations.
+    """The policy after some iterations.
 
     Attributes:
-        iterations: Exploring trials so far.
+        iterations: Exploration trials so far.
         states: (n,) of the samples, the demonstration first.
-        goals: (n,) that were tried.
+        goals: (n,) of the samples.
         costs: (n,) in [0, 1].
         shown: (SHOWN,) states of the curves.
         mean: (SHOWN,) the policy.
@@ -88,7 +88,7 @@ def best_goal(state: Array) -> Array:
 
 
 def explored(seed: int) -> list[Moment]:
-    """The moments after `ITERATIONS` trials: each in a random state, the goal drawn by the policy."""
+    """The moments after `ITERATIONS` trials, each in a random state with a goal drawn by the policy."""
     learner = Learner(_specification(seed))
     rng = np.random.default_rng(seed)
     moments = []
@@ -122,7 +122,7 @@ def _moment(learner: Learner, iterations: int) -> Moment:
 
 
 def draw_exploration(moments: list[Moment], path: Path) -> None:
-    """Saves one panel a moment: the policy, its noise, and the trials with their costs as bars."""
+    """Save one panel for each moment: the policy, its noise, and the trials with their costs as bars."""
     figure = new_figure(4.0 * len(moments), 3.6)
     panels = figure.subplots(1, len(moments), sharey=True, squeeze=False)[0]
     for panel, moment in zip(panels, moments, strict=True):

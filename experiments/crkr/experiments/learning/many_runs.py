@@ -20,7 +20,7 @@ __all__ = ["Summary", "learn_many", "mean_interval", "summarise"]
 
 
 def learn_many(skill: str, options: SkillOptions, parts: Sequence[tuple[Course, int]], jobs: int) -> list[LearningRun]:
-    """One run a part, each a course and a seed, in the order of the parts; `jobs` at a time change nothing."""
+    """One run for each part, a course and a seed, in order, in `jobs` processes; their number changes no result."""
     runs: dict[int, LearningRun] = {}
     with Progress(stderr, "learning", len(parts), "runs") as progress:
         for place, run in spread(skill, options, _learn, [(place, *part) for place, part in enumerate(parts)], jobs):
@@ -38,14 +38,14 @@ def _learn(skill: Skill, part: tuple[int, Course, int]) -> tuple[int, LearningRu
 @final
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """One criterion over all runs.
+    """Success by one criterion over all runs.
 
     Attributes:
-        mean: Success rate, mean of the runs.
-        interval: 95 % interval of that mean for other seeds; None from a single run.
-        worst: Of the runs.
-        worst_seed: Which run that was.
-        oracle: The planner's rate on the same contexts; None if it was not asked.
+        mean: Mean success rate of the runs.
+        interval: 95 % interval of that mean; None from a single run.
+        worst: Success rate of the worst run.
+        worst_seed: Seed of the worst run.
+        oracle: The planner's rate on the same contexts; None if it was not played.
     """
 
     mean: float
@@ -56,7 +56,7 @@ class Summary:
 
 
 def summarise(runs: Sequence[LearningRun], criterion: str, oracle: float | None) -> Summary:
-    """The final judgements of all runs that were judged by a criterion, of which there must be one."""
+    """The final evaluations of all runs that have a criterion, at least one."""
     judged = [run for run in runs if run.final.tally.judged[criterion]]
     rates = np.array([run.final.tally.rate(criterion) for run in judged])
     last = int(np.argmin(rates))

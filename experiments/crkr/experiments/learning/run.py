@@ -1,4 +1,4 @@
-"""One whole run of learning in one process: demonstrations, training trials, judgement on fresh contexts."""
+"""One run of learning in one process: demonstrations, training trials, evaluation in fresh contexts."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ MARKS: Final = (0, 25, 50, 100, 200, 300, 500, 750, 1000, 1250)  # much is learn
 @final
 @dataclass(frozen=True, slots=True)
 class Course:
-    """What every run does.
+    """The settings of a run.
 
     Attributes:
         trials: Training trials, refused goals included.
-        contexts: Fresh contexts of the final judgement.
-        judge: Seed of these contexts; the same for every run, and those of `crkr evaluate` with this seed.
-        demonstrations: How many start the learner.
-        marks: Training trials after which a learning curve has a point, besides the last one; empty: there is no curve.
-            Watching changes nothing else.
-        watched: Contexts behind each of its points, the task's fixed ones.
-        settings: Fields of the skill's specification that are others here.
+        contexts: Fresh contexts of the final evaluation.
+        judge: Seed of these contexts, the same for every run; `crkr evaluate` with this seed has the same ones.
+        demonstrations: Number of demonstrations before the first trial.
+        marks: Training trials after which the learning curve has a point, besides the last one; empty: no curve. The
+            curve changes nothing else.
+        watched: Contexts of each of its points, the task's fixed ones.
+        settings: Fields of the skill's specification that differ.
     """
 
     trials: int
@@ -50,12 +50,12 @@ class Course:
 @final
 @dataclass(frozen=True, slots=True)
 class Score:
-    """A policy without exploration, judged.
+    """An evaluation of the policy without exploration.
 
     Attributes:
-        trials: Training trials that it had learned from.
+        trials: Training trials that the policy had learned from.
         tally: The contexts that were played.
-        reasons: How they ended, by the skill's words.
+        reasons: How they ended, in the skill's words.
     """
 
     trials: int
@@ -64,7 +64,7 @@ class Score:
 
     @property
     def contexts(self) -> int:
-        """How many were played."""
+        """Number of contexts that were played."""
         return self.tally.trials
 
     def to_dict(self) -> dict[str, Any]:
@@ -76,15 +76,15 @@ class Score:
 @final
 @dataclass(frozen=True, slots=True)
 class LearningRun:
-    """What one seed gave.
+    """The result of one seed.
 
     Attributes:
-        seed: Of demonstrations, contexts and exploration.
-        final: The judgement after the last trial.
-        curve: Scores on fewer contexts on the way, the last one after the last trial; empty if not watched.
-        training: How the training trials ended, by the skill's words.
-        filled: Training trials after which there were more samples to learn from than the budget; None: never.
-        digest: SHA-256 over every training trial's state, goal and cost: equal for runs that are bitwise the same.
+        seed: Seed of demonstrations, contexts and exploration.
+        final: The evaluation after the last trial.
+        curve: Scores on fewer contexts during the run, the last one after the last trial; empty without marks.
+        training: How the training trials ended, in the skill's words.
+        filled: Training trials after which more samples were eligible than the budget; None: never.
+        digest: SHA-256 over state, goal and cost of every training trial: equal for bitwise equal runs.
     """
 
     seed: int
@@ -101,7 +101,7 @@ class LearningRun:
 
 
 def learn_once(skill: Skill, course: Course, seed: int) -> LearningRun:
-    """Learns by the skill's own specification and judges the result; the same arguments give the same bits."""
+    """Learn by the skill's specification and evaluate the result; the same arguments give the same bits."""
     training, curve, digest = Counter[str](), list[Score](), sha256()
     filled: int | None = None
 
@@ -118,7 +118,7 @@ def learn_once(skill: Skill, course: Course, seed: int) -> LearningRun:
 
 
 def taught(skill: Skill, course: Course, seed: int, show: Callable[[int], object]) -> Learner:
-    """The learner of such a run, before it is judged; `show` is told how many trials were done."""
+    """The learner of such a run, before its evaluation; `show` is called with the number of trials done."""
     return _taught(skill, course, seed, Counter(), _ignore, lambda _, trial: show(trial))
 
 
@@ -143,17 +143,17 @@ def _taught(
     rng = training_rng(seed, 1)
     for trial in range(course.trials):
         watch(learner, trial)
-        # As a worker's ids are: what is asked between is no matter.
+        # The ids of a worker: exploration does not depend on other questions.
         trial_id = training_id(learner.spec.name, seed, 1, trial + 1)
-        training[_try(skill, learner, rng, trial_id, digest)] += 1
+        training[_execute_trial(skill, learner, rng, trial_id, digest)] += 1
     watch(learner, course.trials)
     return learner
 
 
-def _try(
+def _execute_trial(
     skill: Skill, learner: Learner, rng: np.random.Generator, trial_id: UUID, digest: Callable[[bytes], object]
 ) -> str:
-    """One training trial; how it ended."""
+    """Execute one training trial; returns how it ended."""
     answer = learner.predict(skill.reset(rng), explore=True, trial_ids=trial_id)
     result = skill.execute(answer.goals)
     kind = "trial" if result.executed else "failed"

@@ -13,7 +13,7 @@ import pytest
 from crkr.experiments.bench import workload
 from crkr.experiments.bench.bare_zenoh import KEY, BareQuerier, echoing
 from crkr.experiments.bench.figures import Figure, in_turns, p50, p99, ratio, show
-from crkr.experiments.bench.load import loading
+from crkr.experiments.bench.load import Load, loading
 from crkr.experiments.bench.predict import restart_figures
 from crkr.experiments.bench.processes import serving
 from crkr.experiments.bench.tasks import measure as task_figures
@@ -35,7 +35,13 @@ def test_the_bare_arithmetic_answers_a_question_of_the_task_in_the_size_of_an_an
     assert 0 < sigmas[0] <= 1
 
 
-def test_a_load_reports_what_the_server_stores_and_only_while_it_is_told_to(tmp_path: Path) -> None:
+def refusals(load: Load) -> int:
+    """Error replies so far, after some more queries."""
+    load.go()
+    return load.stop()[1]
+
+
+def test_a_load_reports_between_go_and_stop_only(tmp_path: Path, processes: Any) -> None:
     with serving(tmp_path / "data") as client:
         task = client.create_task(workload.bench_spec())
         workload.fill(task, 40)
@@ -46,30 +52,26 @@ def test_a_load_reports_what_the_server_stores_and_only_while_it_is_told_to(tmp_
         with loading(client.endpoint, workload.key("report"), "report", 1, 10**9) as load:
             assert load.stop() == (0, 0)
             load.go()
-            while task.status()["samples"]["trial"] < 60:
-                pass  # the pytest timeout is the deadline
+            processes.wait_until(lambda: task.status()["samples"]["trial"] >= 60)
             load.stop()
         with loading(client.endpoint, workload.key("explain"), "explain", 700, 0) as flood:
-            flood.go()
-            while flood.stop()[1] == 0:
-                flood.go()
+            processes.wait_until(lambda: refusals(flood) > 0)
         status = task.status()
     assert status["samples"]["trial"] >= 60
     assert status["active"] == 40  # what the load reports is not learned from
 
 
-def test_a_load_that_gets_no_answers_gives_no_numbers() -> None:
-    def load_nobody() -> None:
-        with echoing(8) as endpoint, loading(endpoint, "bench/nobody", "explain", 4, 0) as load:
-            while True:  # the pytest timeout is the deadline
-                load.go()
-                load.stop()
+def test_a_load_that_gets_no_answers_gives_no_numbers(processes: Any) -> None:
+    ended = r"bench\.load ended with status 1: .* did not answer a query of the load"
+    with (
+        pytest.raises(Unavailable, match=ended),
+        echoing(8) as endpoint,
+        loading(endpoint, "bench/nobody", "explain", 4, 0) as load,
+    ):
+        processes.wait_until(lambda: refusals(load) > 0)
 
-    with pytest.raises(Unavailable, match=r"bench\.load ended with status 1: .* did not answer a query of the load"):
-        load_nobody()
 
-
-def test_a_server_that_cannot_start_is_noticed_at_once_and_its_reason_told(tmp_path: Path) -> None:
+def test_a_server_that_cannot_start_is_an_error_with_its_reason(tmp_path: Path) -> None:
     (tmp_path / "data").write_text("a file where the folder should be")
     reason = r"ended with status 1: data directory \S+ cannot be written"
     with pytest.raises(Unavailable, match=reason) as caught, serving(tmp_path / "data"):
@@ -84,8 +86,7 @@ def test_a_server_that_dies_while_it_is_measured_ends_the_measurement(tmp_path: 
             [server] = [pid for pid in processes.children(os.getpid()) if str(tmp_path) in processes.command_line(pid)]
             with loading(client.endpoint, workload.key("report"), "report", 1, 0) as load:
                 load.go()
-                while task.status()["samples"]["trial"] == 0:
-                    pass  # the pytest timeout is the deadline
+                processes.wait_until(lambda: task.status()["samples"]["trial"] > 0)
                 os.kill(server, signal.SIGKILL)
                 task.report_trials([], wait=True, timeout_s=300.0)
 

@@ -22,6 +22,7 @@ def test_the_command_prints_every_ratio() -> None:
     ratio = rows["a contact trial with learning / its bare steps"]
     assert ratio["value"] > 1
     assert ratio["value"] * ratio["detail"]["bare steps ms"] == pytest.approx(ratio["detail"]["trial ms"])
+    assert 0 <= rows["same strict verdict as analytic: contact"]["value"] <= 1
     assert sum(row["bar"] is not None for row in rows.values()) == 4
 
 

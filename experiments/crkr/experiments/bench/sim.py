@@ -64,6 +64,7 @@ def measure(trials: int, seed: int) -> Iterator[Figure]:
     what = f"analytic trials a second, {_BATCH} at once / one by one"
     yield Figure(what, ms["analytic"] / ms["batched"], 100.0, True, behind)
     yield _swings(run.all_goals)
+    yield from _agreement(run)
 
 
 def environment_times(balls: Array, goals: Array, batch: int) -> dict[str, float]:
@@ -135,6 +136,24 @@ def _swings(goals: Array) -> Figure:
         for name, primitive in both.items():
             ms[name] += 1e3 / len(goals) * _timed(partial(attempt, primitive, goal))
     return ratio("a swing / Clarabel alone on the same goals", ms, "swing", "Clarabel", 0.15, unit="ms")
+
+
+def _agreement(run: _Run) -> Iterator[Figure]:
+    """How often the other environments judge a trial as the analytic one does, and how far apart they land."""
+    verdicts = {}
+    for name in ENVIRONMENTS:
+        skill = TableTennis(SkillOptions(environment=name), traces=False)
+        results = [skill.attempt(ball, goal) for ball, goal in zip(run.balls, run.goals, strict=True)]
+        landings = np.array([np.full(2, np.nan) if r.outcome is None else r.outcome[3:5] for r in results])
+        verdicts[name] = np.array([bool(r.info["outcomes"]["strict"]) for r in results]), landings
+    exact, landed = verdicts.pop("analytic")
+    batched = AnalyticBatch(Arm()).play(run.balls, run.goals).strict
+    verdicts["analytic, batched"] = batched, np.full_like(landed, np.nan)
+    for name, (strict, landings) in verdicts.items():
+        apart = np.linalg.norm(landings - landed, axis=1)
+        apart = apart[~np.isnan(apart)]
+        behind = {"landings apart, median m": float(np.median(apart))} if apart.size else {}
+        yield Figure(f"same strict verdict as analytic: {name}", float((strict == exact).mean()), None, True, behind)
 
 
 def _training_run(trials: int, seed: int) -> _Run:

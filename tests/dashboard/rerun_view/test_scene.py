@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from crkr.dashboard.rerun_view.scene import bounds, eye, facing, offset, shapes_by_body
+from crkr.dashboard.rerun_view.scene import bounds, eye, offset, shapes_by_body, upright_rotation
 from crkr.protocol import Geom
 
 UPRIGHT = (0.0, 0.0, 0.0, 1.0)
@@ -72,7 +72,7 @@ def test_the_eye_is_above_and_outside_of_the_worlds(count: int) -> None:
 @pytest.mark.parametrize("position", [(3.0, -2.0, 4.0), (-1.0, 5.0, 0.5), (2.0, 2.0, -3.0)])
 def test_a_camera_faces_its_target_and_stands_upright(position: tuple[float, float, float]) -> None:
     target = np.array([0.5, 0.25, 0.7])
-    turn = facing(np.array(position), target)
+    turn = upright_rotation(np.array(position), target)
     np.testing.assert_allclose(turn.T @ turn, np.eye(3), atol=1e-12)
     assert np.linalg.det(turn) == pytest.approx(1.0)
     right, down, _ = turn.T

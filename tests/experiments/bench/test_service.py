@@ -11,23 +11,23 @@ import numpy as np
 import pytest
 
 from crkr.experiments.bench import workload
-from crkr.experiments.bench.bare_zenoh import KEY, BareQuerier, echoing
-from crkr.experiments.bench.figures import Figure, in_turns, p50, p99, ratio, show
-from crkr.experiments.bench.load import Load, loading
+from crkr.experiments.bench.bare_zenoh import KEY, BareQuerier, echo_server
+from crkr.experiments.bench.load import Load, running_load
+from crkr.experiments.bench.measurements import Measurement, in_turns, p50, p99, ratio, show
 from crkr.experiments.bench.predict import restart_figures
-from crkr.experiments.bench.processes import serving
+from crkr.experiments.bench.processes import running_server
 from crkr.experiments.bench.tasks import measure as task_figures
 from crkr.protocol import Internal, ReportRequest, Unavailable, unpack
 
 
 def test_an_echo_answers_every_question_with_as_many_bytes() -> None:
-    with echoing(37) as endpoint, BareQuerier(endpoint, KEY) as bare:
+    with echo_server(37) as endpoint, BareQuerier(endpoint, KEY) as bare:
         assert len(bare.ask(b"whatever")) == 37
         assert bare.rate([b"x"] * 200, 64) > 0
 
 
 def test_the_bare_arithmetic_answers_a_question_of_the_task_in_the_size_of_an_answer() -> None:
-    with echoing(500, 40) as endpoint, BareQuerier(endpoint, KEY) as bare:
+    with echo_server(500, 40) as endpoint, BareQuerier(endpoint, KEY) as bare:
         answers = {bare.ask(workload.predict_payload()), bare.ask(workload.predict_payload())}
     assert [len(one) for one in answers] == [500]
     sigmas = np.frombuffer(answers.pop()[:208])[13:]
@@ -42,19 +42,19 @@ def refusals(load: Load) -> int:
 
 
 def test_a_load_reports_between_go_and_stop_only(tmp_path: Path, processes: Any) -> None:
-    with serving(tmp_path / "data") as client:
+    with running_server(tmp_path / "data") as client:
         task = client.create_task(workload.bench_spec())
         workload.fill(task, 40)
         with BareQuerier(client.endpoint, workload.key("predict")) as bare:
             assert unpack(bare.ask(workload.predict_payload()))["active"] == 40
             with pytest.raises(Internal, match="INVALID"):
                 bare.ask(b"\xc1")
-        with loading(client.endpoint, workload.key("report"), "report", 1, 10**9) as load:
+        with running_load(client.endpoint, workload.key("report"), "report", 1, 10**9) as load:
             assert load.stop() == (0, 0)
             load.go()
             processes.wait_until(lambda: task.status()["samples"]["trial"] >= 60)
             load.stop()
-        with loading(client.endpoint, workload.key("explain"), "explain", 700, 0) as flood:
+        with running_load(client.endpoint, workload.key("explain"), "explain", 700, 0) as flood:
             processes.wait_until(lambda: refusals(flood) > 0)
         status = task.status()
     assert status["samples"]["trial"] >= 60
@@ -65,8 +65,8 @@ def test_a_load_that_gets_no_answers_gives_no_numbers(processes: Any) -> None:
     ended = r"bench\.load ended with status 1: .* did not answer a query of the load"
     with (
         pytest.raises(Unavailable, match=ended),
-        echoing(8) as endpoint,
-        loading(endpoint, "bench/nobody", "explain", 4, 0) as load,
+        echo_server(8) as endpoint,
+        running_load(endpoint, "bench/nobody", "explain", 4, 0) as load,
     ):
         processes.wait_until(lambda: refusals(load) > 0)
 
@@ -74,17 +74,17 @@ def test_a_load_that_gets_no_answers_gives_no_numbers(processes: Any) -> None:
 def test_a_server_that_cannot_start_is_an_error_with_its_reason(tmp_path: Path) -> None:
     (tmp_path / "data").write_text("a file where the folder should be")
     reason = r"ended with status 1: data directory \S+ cannot be written"
-    with pytest.raises(Unavailable, match=reason) as caught, serving(tmp_path / "data"):
+    with pytest.raises(Unavailable, match=reason) as caught, running_server(tmp_path / "data"):
         pytest.fail("it answered")
     assert "\n" not in caught.value.message
 
 
 def test_a_server_that_dies_while_it_is_measured_ends_the_measurement(tmp_path: Path, processes: Any) -> None:
     def measure() -> None:
-        with serving(tmp_path / "data") as client:
+        with running_server(tmp_path / "data") as client:
             task = client.create_task(workload.bench_spec())
             [server] = [pid for pid in processes.children(os.getpid()) if str(tmp_path) in processes.command_line(pid)]
-            with loading(client.endpoint, workload.key("report"), "report", 1, 0) as load:
+            with running_load(client.endpoint, workload.key("report"), "report", 1, 0) as load:
                 load.go()
                 processes.wait_until(lambda: task.status()["samples"]["trial"] > 0)
                 os.kill(server, signal.SIGKILL)
@@ -95,7 +95,7 @@ def test_a_server_that_dies_while_it_is_measured_ends_the_measurement(tmp_path: 
 
 
 def test_a_failure_beside_a_healthy_server_stays_what_it_is(tmp_path: Path) -> None:
-    with pytest.raises(KeyError), serving(tmp_path / "data"):
+    with pytest.raises(KeyError), running_server(tmp_path / "data"):
         raise KeyError
 
 
@@ -135,14 +135,14 @@ def test_calls_are_timed_in_turns() -> None:
 
 def test_a_figure_is_judged_by_its_bar(capsys: pytest.CaptureFixture[str]) -> None:
     figures = [
-        Figure("quick", 1.0, 1.15, False, {"us": 150.0}),
-        Figure("slow", 1.2, 1.15, False, {"us": 180.0}),
-        Figure("rate", 0.7, 0.6, True, {}),
-        Figure("shown", 9.0),
+        Measurement("quick", 1.0, 1.15, False, {"us": 150.0}),
+        Measurement("slow", 1.2, 1.15, False, {"us": 180.0}),
+        Measurement("rate", 0.7, 0.6, True, {}),
+        Measurement("shown", 9.0),
         ratio("quotient", {"ours": 3.0, "theirs": 2.0, "others": 9.0}, "ours", "theirs", 1.5),
     ]
     assert [figure.reached for figure in figures] == [True, False, True, True, True]
-    assert figures[-1] == Figure("quotient", 1.5, 1.5, False, {"ours us": 3.0, "theirs us": 2.0})
+    assert figures[-1] == Measurement("quotient", 1.5, 1.5, False, {"ours us": 3.0, "theirs us": 2.0})
     show(figures, "title", False)
     lines = capsys.readouterr().out.splitlines()
     assert "<= 1.15" in lines[2]

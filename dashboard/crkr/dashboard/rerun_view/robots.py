@@ -25,7 +25,7 @@ import rerun as rr
 from crkr.dashboard.progress import Row
 from crkr.dashboard.rerun_view.blueprint import EYE, FAILURE, SUCCESS
 from crkr.dashboard.rerun_view.recording import NameLimit, Recording
-from crkr.dashboard.rerun_view.scene import VIEW_ANGLE, bounds, eye, facing, offset, shapes_by_body
+from crkr.dashboard.rerun_view.scene import VIEW_ANGLE, bounds, eye, offset, shapes_by_body, upright_rotation
 from crkr.dashboard.telemetry import Telemetry
 from crkr.protocol import Geom, Trace
 
@@ -160,7 +160,7 @@ class Robots:
         position, target = eye(max(len(self._worlds), 1), *self._bounds)
         self._recording.fixed(
             [EYE],
-            rr.Transform3D(translation=position, mat3x3=facing(position, target)),
+            rr.Transform3D(translation=position, mat3x3=upright_rotation(position, target)),
             # The camera itself is not drawn.
             rr.Pinhole(fov_y=VIEW_ANGLE, aspect_ratio=1.0, image_plane_distance=1e-3, line_width=0.0, color=0),
         )

@@ -12,7 +12,7 @@ import rerun as rr
 
 from crkr.protocol import Geom
 
-__all__ = ["VIEW_ANGLE", "bounds", "eye", "facing", "offset", "shapes_by_body"]
+__all__ = ["VIEW_ANGLE", "bounds", "eye", "offset", "shapes_by_body", "upright_rotation"]
 
 COLUMNS: Final = 4
 GAP: Final = 1.35  # distance of two worlds in widths
@@ -86,14 +86,14 @@ def eye(
     ends = np.array([low + places.min(axis=0), high + places.max(axis=0)])
     corners = np.array(list(product(*ends.T)))
     target = ends.mean(axis=0)
-    right_down, forward = np.split((corners - target) @ facing(target + ASIDE, target), [2], axis=1)
+    right_down, forward = np.split((corners - target) @ upright_rotation(target + ASIDE, target), [2], axis=1)
     # A corner is in sight from a distance d if right and down are below their tangents times (d + forward).
     tangents = HALF_HEIGHT * np.array([WIDER, 1.0])
     distance = float((np.abs(right_down) / tangents - forward).max())
     return target + MARGIN * distance * ASIDE, target
 
 
-def facing(position: np.ndarray[Any, Any], target: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+def upright_rotation(position: np.ndarray[Any, Any], target: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
     """Rotation (3, 3) of an upright camera that faces a target, which is not straight above or below it.
 
     The columns are the camera's right, down and forward in the frame of position and target (3,) [m].

@@ -24,7 +24,7 @@ from crkr.client.network.config import Connection
 from crkr.experiments.bench.processes import free_endpoint, program, say_ready
 from crkr.protocol import Internal, unpack
 
-__all__ = ["KEY", "BareQuerier", "bare_prediction", "echoing"]
+__all__ = ["KEY", "BareQuerier", "bare_prediction", "echo_server"]
 
 KEY: Final = "bench/echo"
 _TIMEOUT_S: Final = 10.0
@@ -115,7 +115,7 @@ def bare_prediction(samples: int, reply: bytes) -> Callable[[bytes], bytes]:
 
 
 @contextmanager
-def echoing(reply_bytes: int, samples: int = 0) -> Iterator[str]:
+def echo_server(reply_bytes: int, samples: int = 0) -> Iterator[str]:
     """The endpoint of a queryable in a process of its own; with `samples` it computes a prediction for each answer."""
     endpoint = free_endpoint()
     with program("crkr.experiments.bench.bare_zenoh", endpoint, str(reply_bytes), f"--samples={samples}"):

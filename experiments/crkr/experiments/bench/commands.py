@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,7 +13,7 @@ from crkr.client.cli.error_lines import require
 from crkr.client.cli.options import Json
 
 if TYPE_CHECKING:
-    from crkr.experiments.bench.figures import Figure
+    from crkr.experiments.bench.measurements import Measurement
 
 __all__ = ["dashboard", "learn", "predict", "report", "sim", "tasks"]
 
@@ -29,12 +29,9 @@ def predict(
     Example: crkr bench predict --samples 100000
     """
     require("scipy")
-    from crkr.experiments.bench.figures import show
     from crkr.experiments.bench.predict import measure
 
-    with tempfile.TemporaryDirectory(prefix="crkr-bench-") as directory:
-        figures = list(measure(Path(directory), samples))
-    show(figures, "predict, m = 250, d = 6, p = 13, loopback", as_json)
+    _measure_in_folder(lambda folder: measure(folder, samples), "predict, m = 250, d = 6, p = 13, loopback", as_json)
 
 
 def report(as_json: Json = False) -> None:
@@ -43,12 +40,9 @@ def report(as_json: Json = False) -> None:
     Example: crkr bench report --json
     """
     require("scipy")
-    from crkr.experiments.bench.figures import show
     from crkr.experiments.bench.report import measure
 
-    with tempfile.TemporaryDirectory(prefix="crkr-bench-") as directory:
-        figures = list(measure(Path(directory)))
-    show(figures, "report, d = 6, p = 13, loopback", as_json)
+    _measure_in_folder(measure, "report, d = 6, p = 13, loopback", as_json)
 
 
 def tasks(
@@ -60,12 +54,9 @@ def tasks(
     Example: crkr bench tasks --tasks 500
     """
     require("scipy")
-    from crkr.experiments.bench.figures import show
     from crkr.experiments.bench.tasks import measure
 
-    with tempfile.TemporaryDirectory(prefix="crkr-bench-") as directory:
-        figures = list(measure(Path(directory), count))
-    show(figures, f"one task of {count}, d = 6, p = 13, loopback", as_json)
+    _measure_in_folder(lambda folder: measure(folder, count), f"one task of {count}, d = 6, p = 13, loopback", as_json)
 
 
 def learn(
@@ -77,10 +68,9 @@ def learn(
     Example: crkr bench learn --quick --json
     """
     require("scipy", "sklearn")
-    from crkr.experiments.bench.figures import show
     from crkr.experiments.bench.learn import measure
 
-    show(_told(measure(quick)), "learner, d = 6, p = 13, one BLAS thread", as_json, details="detail")
+    _measure_with_progress(measure(quick), "learner, d = 6, p = 13, one BLAS thread", as_json)
 
 
 def sim(
@@ -95,11 +85,10 @@ def sim(
 
     Example: crkr bench sim --trials 100 --json
     """
-    from crkr.experiments.bench.figures import show
     from crkr.experiments.bench.sim import measure
 
     title = f"table tennis, {trials} trials after the first 300 of seed {seed}, one BLAS thread"
-    show(_told(measure(trials, seed)), title, as_json, details="detail")
+    _measure_with_progress(measure(trials, seed), title, as_json)
 
 
 def dashboard(
@@ -115,17 +104,25 @@ def dashboard(
     """
     require("rerun", "scipy")  # the child processes would end for want of them
     from crkr.experiments.bench.dashboard import measure
-    from crkr.experiments.bench.figures import show
 
-    with tempfile.TemporaryDirectory(prefix="crkr-bench-") as directory:
-        figures = list(measure(Path(directory), skill, workers))
-    show(figures, "watching, loopback, no browser", as_json)
+    _measure_in_folder(lambda folder: measure(folder, skill, workers), "watching, loopback, no browser", as_json)
 
 
-def _told(figures: Iterable[Figure]) -> list[Figure]:
-    """The figures; each is printed to standard error as soon as it is known."""
-    found = []
-    for figure in figures:
-        typer.echo(f"{figure.what}: {figure.value:.3g}", err=True)
-        found.append(figure)
-    return found
+def _measure_in_folder(measure: Callable[[Path], Iterable[Measurement]], title: str, as_json: bool) -> None:
+    """Measure with a temporary folder, then print the table."""
+    from crkr.experiments.bench.measurements import show
+
+    with tempfile.TemporaryDirectory(prefix="crkr-bench-") as folder:
+        found = list(measure(Path(folder)))
+    show(found, title, as_json)
+
+
+def _measure_with_progress(found: Iterable[Measurement], title: str, as_json: bool) -> None:
+    """Print each measurement to standard error when it is done, then the table."""
+    from crkr.experiments.bench.measurements import show
+
+    rows = []
+    for one in found:
+        typer.echo(f"{one.what}: {one.value:.3g}", err=True)
+        rows.append(one)
+    show(rows, title, as_json, details="detail")

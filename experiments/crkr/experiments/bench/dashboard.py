@@ -16,8 +16,8 @@ import numpy as np
 
 from crkr.client import Client, Task
 from crkr.experiments.bench import workload
-from crkr.experiments.bench.figures import Figure, ratio
-from crkr.experiments.bench.processes import Child, command, program, serving
+from crkr.experiments.bench.measurements import Measurement, ratio
+from crkr.experiments.bench.processes import Child, command, program, running_server
 from crkr.protocol import Unavailable, UnknownTask, pack
 
 __all__ = ["STREAM", "WATCH", "measure"]
@@ -34,7 +34,7 @@ LOOK_S: Final = 0.1
 CAPTURED: Final = 100
 
 
-def measure(directory: Path, skill: str, workers: int) -> Iterator[Figure]:
+def measure(directory: Path, skill: str, workers: int) -> Iterator[Measurement]:
     """All figures.
 
     Args:
@@ -42,12 +42,12 @@ def measure(directory: Path, skill: str, workers: int) -> Iterator[Figure]:
         skill: What the workers try.
         workers: How many.
     """
-    with serving(directory / "data") as client:
+    with running_server(directory / "data") as client:
         yield from _beside_workers(client, directory, skill, workers)
         yield from _beside_stream(client, directory)
 
 
-def _beside_workers(client: Client, directory: Path, skill: str, workers: int) -> Iterator[Figure]:
+def _beside_workers(client: Client, directory: Path, skill: str, workers: int) -> Iterator[Measurement]:
     name, endpoint = "bench-workers", client.endpoint
     train = ["workers", skill, "--task", name, "-n", str(workers), "--trials", "1000000", "--connect", endpoint]
     watch = ["watch", name, "--connect", endpoint, "--save", str(directory / "workers.rrd"), "--overwrite"]
@@ -60,7 +60,7 @@ def _beside_workers(client: Client, directory: Path, skill: str, workers: int) -
     with command(train) as training:
         task = client.task(name)
         _warm(task, training)
-        (directory / "messages").write_bytes(pack({"messages": _captured(task)}))
+        (directory / "messages").write_bytes(pack({"messages": _published_trials(task)}))
         for turn in range(ROUNDS):
             for place in range(len(conditions)):  # each is first, second and last once
                 condition = list(conditions)[(turn + place) % len(conditions)]
@@ -70,8 +70,8 @@ def _beside_workers(client: Client, directory: Path, skill: str, workers: int) -
     behind = {"workers": float(workers), **{f"{condition} /s": rate for condition, rate in middle.items()}}
     behind["unwatched, least /s"], behind["most /s"] = min(rates["unwatched"]), max(rates["unwatched"])
     what = "workers' trials a second, watched / unwatched"
-    yield Figure(what, middle["watched"] / middle["unwatched"], None, True, behind)
-    yield Figure("  the same, followed without drawing", middle["followed"] / middle["unwatched"], None, True)
+    yield Measurement(what, middle["watched"] / middle["unwatched"], None, True, behind)
+    yield Measurement("  the same, followed without drawing", middle["followed"] / middle["unwatched"], None, True)
 
 
 def _warm(task: Task, training: Child) -> None:
@@ -88,7 +88,7 @@ def _warm(task: Task, training: Child) -> None:
     raise Unavailable(f"the workers did not get to {WARM} trials within {WARM_S:.0f} s")
 
 
-def _captured(task: Task) -> list[bytes]:
+def _published_trials(task: Task) -> list[bytes]:
     """What workers publish about the next trials, packed."""
     found: list[bytes] = []
     deadline = time.monotonic() + WARM_S
@@ -109,7 +109,7 @@ def _rate(task: Task) -> float:
     return float((after - before) / (end - begin))
 
 
-def _beside_stream(client: Client, directory: Path) -> Iterator[Figure]:
+def _beside_stream(client: Client, directory: Path) -> Iterator[Measurement]:
     endpoint, file = client.endpoint, directory / "stream.rrd"
     with program(STREAM, endpoint, str(directory / "messages"), str(RATE)) as source:
         with (
@@ -129,7 +129,7 @@ def _beside_stream(client: Client, directory: Path) -> Iterator[Figure]:
         "trials /s": sent["published"] / sent["seconds"],
         "pictures dropped": float(drawn["dropped"]),
     }
-    yield Figure("  the same, p99", drawn["lag_p99_ms"] / followed["lag_p99_ms"], behind=behind)
+    yield Measurement("  the same, p99", drawn["lag_p99_ms"] / followed["lag_p99_ms"], behind=behind)
     sizes = {"recorded": drawn["recording_bytes"] / drawn["drawn"], "published": sent["bytes"] / sent["published"]}
     yield ratio("recording, bytes a trial / bytes published", sizes, "recorded", "published", unit="B")
     behind = {
@@ -139,4 +139,4 @@ def _beside_stream(client: Client, directory: Path) -> Iterator[Figure]:
         "followed MB/min": 60e-6 * followed["bytes_a_second"],
     }
     what = "memory, bytes more a trial / bytes published"
-    yield Figure(what, drawn["bytes_a_trial"] / sizes["published"], behind=behind)
+    yield Measurement(what, drawn["bytes_a_trial"] / sizes["published"], behind=behind)

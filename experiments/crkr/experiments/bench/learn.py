@@ -20,7 +20,7 @@ from scipy.spatial.distance import cdist
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel
 
-from crkr.experiments.bench.figures import Figure, in_turns, p50, ratio
+from crkr.experiments.bench.measurements import Measurement, in_turns, p50, ratio
 from crkr.experiments.bench.workload import BUDGET, D, P, bench_spec
 from crkr.learner import Anms, FitProblem, Learner, Model, Regression, fit
 from crkr.protocol import Array, Trial
@@ -32,7 +32,7 @@ _MANY: Final = 100_000
 _MILLION: Final = 1_000_000
 
 
-def measure(quick: bool) -> Iterator[Figure]:
+def measure(quick: bool) -> Iterator[Measurement]:
     """All figures, in turn; `quick` leaves out those of a million samples."""
     rng = np.random.default_rng(0)
     for n in (_PAGE, _MANY):
@@ -83,7 +83,7 @@ def _regression(learner: Learner) -> Regression:
     return learner.model.regression
 
 
-def _insert(anms: Anms, n: int, rng: np.random.Generator) -> Figure:
+def _insert(anms: Anms, n: int, rng: np.random.Generator) -> Measurement:
     Z = rng.uniform(0, 4, (n, D))
     rounds = 40
     samples = zip(rng.uniform(0, 4, (rounds + 1, 1, D)), rng.uniform(size=(rounds + 1, 1)), strict=True)
@@ -94,7 +94,7 @@ def _insert(anms: Anms, n: int, rng: np.random.Generator) -> Figure:
     return ratio(f"one insert / one cdist row, n = {n:,}", _times(rounds, calls), "insert", "cdist", 2.5)
 
 
-def _step(rng: np.random.Generator) -> Figure:
+def _step(rng: np.random.Generator) -> Measurement:
     learner = _add(_learner(BUDGET), rng, _MANY)
     scikit, times = _scikit(learner.model), []
     for trial in _trials(rng, 200, 1e-3):  # better than nearly all, so that most become active
@@ -109,7 +109,7 @@ def _step(rng: np.random.Generator) -> Figure:
     ours, theirs = (p50(column) for column in np.array(times).T)
     what = "scikit-learn's fit / one learning step, k = 250, n = 100,000"
     behind = {"step us": ours, "fit us": theirs, "steps": float(len(times))}
-    return Figure(what, theirs / ours, 8.0, True, behind)
+    return Measurement(what, theirs / ours, 8.0, True, behind)
 
 
 def _bare(regression: Regression, z: Array) -> tuple[Array, Array]:
@@ -123,7 +123,7 @@ def _bare(regression: Regression, z: Array) -> tuple[Array, Array]:
     return mean, 1.0 - np.einsum("ij,ij->j", V, V)
 
 
-def _predict(rng: np.random.Generator) -> Iterator[Figure]:
+def _predict(rng: np.random.Generator) -> Iterator[Measurement]:
     learner = _add(_learner(BUDGET), rng, BUDGET)
     model, states, regression = learner.model, rng.uniform(0, 4, (1000, D)), _regression(learner)
     scikit, z = _scikit(model).fit(model.states, model.goals), model.parameters.kernel.standardise(states)
@@ -134,16 +134,16 @@ def _predict(rng: np.random.Generator) -> Iterator[Figure]:
     }
     ours, theirs, bare = _times(300, calls, 10).values()
     behind = {"predict us": ours, "scikit-learn us": theirs, "bare us": bare}
-    yield Figure("scikit-learn's prediction / ours, one state, m = 250", theirs / ours, 4.0, True, behind)
-    yield Figure("one prediction / bare matrix operations", ours / bare, 2.0, False, behind)
+    yield Measurement("scikit-learn's prediction / ours, one state, m = 250", theirs / ours, 4.0, True, behind)
+    yield Measurement("one prediction / bare matrix operations", ours / bare, 2.0, False, behind)
     calls = {"batch": lambda: learner.predict(states), "bare": lambda: _bare(regression, z)}
     batch, bare = _times(60, calls).values()
     behind = {"1000 states us": batch, "bare us": bare}
-    yield Figure("states a second, 1000 in one call / single calls", 1000 * ours / batch, 5.0, True, behind)
-    yield Figure("1000 predictions in one call / bare matrix operations", batch / bare, 1.3, False, behind)
+    yield Measurement("states a second, 1000 in one call / single calls", 1000 * ours / batch, 5.0, True, behind)
+    yield Measurement("1000 predictions in one call / bare matrix operations", batch / bare, 1.3, False, behind)
 
 
-def _large_budget(rng: np.random.Generator) -> Figure:
+def _large_budget(rng: np.random.Generator) -> Measurement:
     regression = _regression(_add(_learner(1000), rng, 1000))
     kernel, Z, noise, Y = regression.kernel, regression.Z, regression.noise, rng.normal(size=(1000, P))
     K = kernel.matrix(Z, Z) + np.diag(noise)
@@ -155,7 +155,7 @@ def _large_budget(rng: np.random.Generator) -> Figure:
     return ratio(what, _times(15, calls), "new model", "cholesky")
 
 
-def _fit(rng: np.random.Generator) -> Figure:
+def _fit(rng: np.random.Generator) -> Measurement:
     learner = _add(_learner(BUDGET), rng, BUDGET)
     start = FitProblem.of(learner.model, learner.spec.lengthscales)
     smooth = np.sin(start.X @ rng.normal(size=(D, P)) / 3) + 0.1 * rng.normal(size=(BUDGET, P))
@@ -172,7 +172,7 @@ def _resident() -> float:
     return float(pages * os.sysconf("SC_PAGE_SIZE"))
 
 
-def _million(rng: np.random.Generator) -> Iterator[Figure]:
+def _million(rng: np.random.Generator) -> Iterator[Measurement]:
     made: list[Anms] = []
 
     def remembered(dimensions: int, budget: int) -> Anms:
@@ -182,5 +182,5 @@ def _million(rng: np.random.Generator) -> Iterator[Figure]:
     learner = _add(_learner(BUDGET, remembered), rng, _MANY)
     before = _resident()
     _add(learner, rng, _MILLION - _MANY)
-    yield Figure("resident bytes a sample, from 1e5 to 1e6", (_resident() - before) / (_MILLION - _MANY), 600.0)
+    yield Measurement("resident bytes a sample, from 1e5 to 1e6", (_resident() - before) / (_MILLION - _MANY), 600.0)
     yield _insert(made[0], _MILLION, rng)

@@ -19,7 +19,7 @@ from crkr.experiments.bench.bare_zenoh import BareQuerier
 from crkr.experiments.bench.processes import Child, program, say_ready
 from crkr.experiments.bench.workload import explain_payload, report_payload
 
-__all__ = ["Load", "loading"]
+__all__ = ["Load", "running_load"]
 
 
 @final
@@ -45,7 +45,7 @@ class Load:
 
 
 @contextmanager
-def loading(endpoint: str, key: str, kind: str, width: int, seed: int) -> Iterator[Load]:
+def running_load(endpoint: str, key: str, kind: str, width: int, seed: int) -> Iterator[Load]:
     """A client that sends `width` queries of `kind` ("report" or "explain") at once and waits for all answers."""
     with program("crkr.experiments.bench.load", endpoint, key, kind, str(width), str(seed)) as child:
         yield Load(child)

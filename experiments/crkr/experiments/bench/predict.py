@@ -17,10 +17,10 @@ import numpy as np
 
 from crkr.client import Client, Task
 from crkr.experiments.bench import workload
-from crkr.experiments.bench.bare_zenoh import KEY, BareQuerier, echoing
-from crkr.experiments.bench.figures import Figure, in_turns, p50, p99, ratio, timed
-from crkr.experiments.bench.load import Load, loading
-from crkr.experiments.bench.processes import serving
+from crkr.experiments.bench.bare_zenoh import KEY, BareQuerier, echo_server
+from crkr.experiments.bench.load import Load, running_load
+from crkr.experiments.bench.measurements import Measurement, in_turns, p50, p99, ratio, timed
+from crkr.experiments.bench.processes import running_server
 from crkr.protocol import Array, Unavailable
 
 __all__ = ["measure", "restart_figures"]
@@ -33,7 +33,7 @@ _MANY: Final = 20_000  # queries of a throughput
 _ROUNDS: Final = 6
 
 
-def measure(directory: Path, samples: int) -> Iterator[Figure]:
+def measure(directory: Path, samples: int) -> Iterator[Measurement]:
     """All figures; with `samples` also those of a restart on so long a log.
 
     Args:
@@ -41,14 +41,14 @@ def measure(directory: Path, samples: int) -> Iterator[Figure]:
         samples: Trials of the long log; 0 leaves it out.
     """
     with ExitStack() as stack:
-        client = stack.enter_context(serving(directory / "data"))
+        client = stack.enter_context(running_server(directory / "data"))
         task = client.create_task(workload.bench_spec())
         workload.fill(task, _SAMPLES)
         payload = workload.predict_payload()
         bare = stack.enter_context(BareQuerier(client.endpoint, workload.key("predict")))
         size = len(bare.ask(payload))
-        echo = stack.enter_context(BareQuerier(stack.enter_context(echoing(size)), KEY))
-        least = stack.enter_context(BareQuerier(stack.enter_context(echoing(size, workload.BUDGET)), KEY))
+        echo = stack.enter_context(BareQuerier(stack.enter_context(echo_server(size)), KEY))
+        least = stack.enter_context(BareQuerier(stack.enter_context(echo_server(size, workload.BUDGET)), KEY))
         yield from _alone(task, bare, echo, least, payload)
         yield _in_flight(bare, echo, payload)
         yield _thousand(task)
@@ -58,7 +58,9 @@ def measure(directory: Path, samples: int) -> Iterator[Figure]:
         yield from restart_figures(directory, samples)
 
 
-def _alone(task: Task, bare: BareQuerier, echo: BareQuerier, least: BareQuerier, payload: bytes) -> Iterator[Figure]:
+def _alone(
+    task: Task, bare: BareQuerier, echo: BareQuerier, least: BareQuerier, payload: bytes
+) -> Iterator[Measurement]:
     state = workload.states(1)[0]
     with task.mirror() as mirror:
         calls = {
@@ -75,7 +77,7 @@ def _alone(task: Task, bare: BareQuerier, echo: BareQuerier, least: BareQuerier,
     yield ratio("  Mirror.predict, no network / echo", times, "mirror", "echo")
 
 
-def _in_flight(bare: BareQuerier, echo: BareQuerier, payload: bytes) -> Figure:
+def _in_flight(bare: BareQuerier, echo: BareQuerier, payload: bytes) -> Measurement:
     queriers = {"predict": bare, "echo": echo}
     rounds = [[one.rate(repeat(payload, _MANY // 4), 64) for one in queriers.values()] for _ in range(4)]
     rates = dict(zip(queriers, np.median(rounds, axis=0).tolist(), strict=True))
@@ -83,7 +85,7 @@ def _in_flight(bare: BareQuerier, echo: BareQuerier, payload: bytes) -> Figure:
     return ratio(what, rates, "predict", "echo", 0.6, at_least=True, unit="/s")
 
 
-def _thousand(task: Task) -> Figure:
+def _thousand(task: Task) -> Measurement:
     many, one = workload.states(1000), workload.states(1)[0]
     found = in_turns({"1000": lambda: task.predict(many), "1": lambda: task.predict(one)}, 10, 10)
     times = {name: p50(taken) for name, taken in found.items()}
@@ -92,17 +94,17 @@ def _thousand(task: Task) -> Figure:
 
 def _beside_reports(
     stack: ExitStack, client: Client, task: Task, echo: BareQuerier, payload: bytes
-) -> Iterator[Figure]:
+) -> Iterator[Measurement]:
     """Two clients report without pause; the echo is measured beside two that send the same to another echo."""
     state = workload.states(1)[0]
-    other = stack.enter_context(echoing(_RECEIPT))
+    other = stack.enter_context(echo_server(_RECEIPT))
 
     def reporters(endpoint: str, key: str) -> list[Load]:
-        return [stack.enter_context(loading(endpoint, key, "report", 1, n * 10**9)) for n in (1, 2)]
+        return [stack.enter_context(running_load(endpoint, key, "report", 1, n * 10**9)) for n in (1, 2)]
 
     loads, others = reporters(client.endpoint, workload.key("report")), reporters(other, KEY)
     rounds = [
-        (_loaded(loads, lambda: task.predict(state)), _loaded(others, lambda: echo.ask(payload)))
+        (_times_under_load(loads, lambda: task.predict(state)), _times_under_load(others, lambda: echo.ask(payload)))
         for _ in range(_ROUNDS)
     ]
     predict, bare = (np.concatenate(times) for times in zip(*rounds, strict=True))
@@ -113,33 +115,35 @@ def _beside_reports(
         "echoes of the load": sum(load.stop()[0] for load in others),
     }
     what = "predict p99 beside two reporters / echo p99 beside the same"
-    yield Figure(what, behind["predict us"] / behind["echo us"], 2.5, behind=behind)
+    yield Measurement(what, behind["predict us"] / behind["echo us"], 2.5, behind=behind)
     yield ratio("  their p50", {"predict": p50(predict), "echo": p50(bare)}, "predict", "echo")
 
 
-def _beside_flood(stack: ExitStack, client: Client, task: Task, echo: BareQuerier, payload: bytes) -> Iterator[Figure]:
+def _beside_flood(
+    stack: ExitStack, client: Client, task: Task, echo: BareQuerier, payload: bytes
+) -> Iterator[Measurement]:
     """One client keeps 700 `explain` outstanding; the echo is measured beside as many to another echo."""
     state = workload.states(1)[0]
-    flood = stack.enter_context(loading(client.endpoint, workload.key("explain"), "explain", _FLOOD, 0))
-    other = stack.enter_context(loading(stack.enter_context(echoing(_RECEIPT)), KEY, "explain", _FLOOD, 0))
+    flood = stack.enter_context(running_load(client.endpoint, workload.key("explain"), "explain", _FLOOD, 0))
+    other = stack.enter_context(running_load(stack.enter_context(echo_server(_RECEIPT)), KEY, "explain", _FLOOD, 0))
     rounds = [
         (
             timed(lambda: task.predict(state), 1000),
-            _loaded([flood], lambda: task.predict(state)),
+            _times_under_load([flood], lambda: task.predict(state)),
             timed(lambda: echo.ask(payload), 1000),
-            _loaded([other], lambda: echo.ask(payload)),
+            _times_under_load([other], lambda: echo.ask(payload)),
         )
         for _ in range(_ROUNDS)
     ]
     idle, busy, echo_idle, echo_busy = (p99(np.concatenate(times)) for times in zip(*rounds, strict=True))
     answered, refused = flood.stop()
     behind = {"beside us": busy, "idle us": idle, "explained": answered, "refused": refused}
-    yield Figure("predict p99 beside 700 explain outstanding / idle", busy / idle, 3.0, behind=behind)
+    yield Measurement("predict p99 beside 700 explain outstanding / idle", busy / idle, 3.0, behind=behind)
     what = "  echo p99 beside 700 outstanding to another / idle"
     yield ratio(what, {"beside": echo_busy, "idle": echo_idle}, "beside", "idle")
 
 
-def _loaded(loads: list[Load], call: Callable[[], Any]) -> Array:
+def _times_under_load(loads: list[Load], call: Callable[[], Any]) -> Array:
     for load in loads:
         load.go()
     timed(call, 50)
@@ -149,7 +153,7 @@ def _loaded(loads: list[Load], call: Callable[[], Any]) -> Array:
     return times
 
 
-def restart_figures(directory: Path, samples: int) -> Iterator[Figure]:
+def restart_figures(directory: Path, samples: int) -> Iterator[Measurement]:
     """Restart on logs of `samples` and of 1000 trials, and compare.
 
     The server's own store writes the logs. The first start computes their radii; the second one is measured.
@@ -161,16 +165,16 @@ def restart_figures(directory: Path, samples: int) -> Iterator[Figure]:
         done = subprocess.run(arguments, check=False, input=spec, text=True, encoding="utf-8")
         if done.returncode:
             raise Unavailable(f"the log of {count} trials was not written: its process ended with {done.returncode}")
-        with serving(data):
+        with running_server(data):
             pass
     read = min(_bare_read(many) for _ in range(2))
     state = workload.states(1)[0]
     with ExitStack() as stack:
         started = time.perf_counter()
-        large = stack.enter_context(serving(many)).task(workload.TASK)
+        large = stack.enter_context(running_server(many)).task(workload.TASK)
         large.predict(state)
         restart = time.perf_counter() - started
-        small = stack.enter_context(serving(few)).task(workload.TASK)
+        small = stack.enter_context(running_server(few)).task(workload.TASK)
         found = in_turns({"many": lambda: large.predict(state), "few": lambda: small.predict(state)}, 20, 100)
     what = f"{samples} samples: restart to first predict / bare read"
     yield ratio(what, {"restart": restart, "bare read": read}, "restart", "bare read", 3.0, unit="s")

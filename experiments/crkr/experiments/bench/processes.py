@@ -19,7 +19,7 @@ from crkr.client import Client
 from crkr.client.cli.error_lines import require
 from crkr.protocol import Unavailable
 
-__all__ = ["Child", "command", "free_endpoint", "program", "say_ready", "serving"]
+__all__ = ["Child", "command", "free_endpoint", "program", "running_server", "say_ready"]
 
 _START_S: Final = 600.0  # a server reads a long log before it answers
 _READY_S: Final = 60.0
@@ -184,7 +184,7 @@ def say_ready() -> None:
 
 
 @contextmanager
-def serving(data: Path) -> Iterator[Client]:
+def running_server(data: Path) -> Iterator[Client]:
     """A client of a new server on a data directory; the end of the server ends the client's calls.
 
     Raises:

@@ -13,29 +13,29 @@ import numpy as np
 
 from crkr.client import Task
 from crkr.experiments.bench import workload
-from crkr.experiments.bench.bare_zenoh import KEY, BareQuerier, echoing
-from crkr.experiments.bench.figures import Figure, in_turns, p50, ratio
-from crkr.experiments.bench.processes import serving
+from crkr.experiments.bench.bare_zenoh import KEY, BareQuerier, echo_server
+from crkr.experiments.bench.measurements import Measurement, in_turns, p50, ratio
+from crkr.experiments.bench.processes import running_server
 
 __all__ = ["measure"]
 
 _WARM: Final = 500  # commits, after which the write-ahead log no longer grows: a file that grows is slower to sync
 
 
-def measure(directory: Path) -> Iterator[Figure]:
+def measure(directory: Path) -> Iterator[Measurement]:
     """All figures; `directory` is empty, for the databases."""
     with ExitStack() as stack:
-        client = stack.enter_context(serving(directory / "data"))
+        client = stack.enter_context(running_server(directory / "data"))
         task = client.create_task(workload.bench_spec())
         workload.fill(task, 500)
         bare = stack.enter_context(BareQuerier(client.endpoint, workload.key("report")))
         receipt = bare.ask(workload.report_payload(10**6))
-        echo = stack.enter_context(BareQuerier(stack.enter_context(echoing(len(receipt))), KEY))
+        echo = stack.enter_context(BareQuerier(stack.enter_context(echo_server(len(receipt))), KEY))
         yield from _alone(task, bare, echo, stack.enter_context(closing(_bare_log(directory))))
         yield _in_flight(bare, echo)
 
 
-def _alone(task: Task, bare: BareQuerier, echo: BareQuerier, log: sqlite3.Connection) -> Iterator[Figure]:
+def _alone(task: Task, bare: BareQuerier, echo: BareQuerier, log: sqlite3.Connection) -> Iterator[Measurement]:
     state, goal = workload.states(1)[0], np.zeros(workload.P)
     numbers = count(2 * 10**6)
     payload = workload.report_payload(10**6)
@@ -49,11 +49,11 @@ def _alone(task: Task, bare: BareQuerier, echo: BareQuerier, log: sqlite3.Connec
     times = {name: p50(found) for name, found in in_turns(calls, 800, 1).items()}
     floor = times["echo"] + times["commit"]
     behind = {f"{name} us": times[name] for name in ("report", "echo", "commit")}
-    yield Figure("Task.report p50 / (echo + bare commit)", times["report"] / floor, 1.5, behind=behind)
-    yield Figure("  the same by bare Zenoh", times["wire"] / floor, behind={"wire us": times["wire"]})
+    yield Measurement("Task.report p50 / (echo + bare commit)", times["report"] / floor, 1.5, behind=behind)
+    yield Measurement("  the same by bare Zenoh", times["wire"] / floor, behind={"wire us": times["wire"]})
 
 
-def _in_flight(bare: BareQuerier, echo: BareQuerier) -> Figure:
+def _in_flight(bare: BareQuerier, echo: BareQuerier) -> Measurement:
     rates: dict[str, list[float]] = {"report": [], "echo": []}
     numbers = count(3 * 10**6)
     for _ in range(4):

@@ -14,7 +14,7 @@ from typing import Final, NamedTuple, final
 
 import numpy as np
 
-from crkr.experiments.bench.figures import Figure, ratio
+from crkr.experiments.bench.measurements import Measurement, ratio
 from crkr.learner import Learner
 from crkr.protocol import Array
 from crkr.sim_worker.primitives.stroke import Infeasible, JointLimits, Primitive
@@ -51,18 +51,18 @@ class _Run(NamedTuple):
     learning_ms: float
 
 
-def measure(trials: int, seed: int) -> Iterator[Figure]:
+def measure(trials: int, seed: int) -> Iterator[Measurement]:
     """All figures, in turn, of `trials` trials of a run with a seed."""
     run = _training_run(trials, seed)
     ms = environment_times(run.balls, run.goals, _BATCH)
     whole = ms["contact"] + run.learning_ms
     behind = {"trial ms": whole, "of it learning": run.learning_ms, "bare steps ms": ms["bare"]}
-    yield Figure("a contact trial with learning / its bare steps", whole / ms["bare"], 1.4, False, behind)
-    yield Figure("contact trials a second", 1e3 / whole, None, True)
+    yield Measurement("a contact trial with learning / its bare steps", whole / ms["bare"], 1.4, False, behind)
+    yield Measurement("contact trials a second", 1e3 / whole, None, True)
     yield ratio("a hybrid trial / a contact trial", ms, "hybrid", "contact", 0.55, unit="ms")
     behind = {"analytic us": 1e3 * ms["analytic"], "batched us": 1e3 * ms["batched"]}
     what = f"analytic trials a second, {_BATCH} at once / one by one"
-    yield Figure(what, ms["analytic"] / ms["batched"], 100.0, True, behind)
+    yield Measurement(what, ms["analytic"] / ms["batched"], 100.0, True, behind)
     yield _swings(run.all_goals)
     yield from _agreement(run)
 
@@ -120,7 +120,7 @@ def _timed(call: Callable[[], object]) -> float:
     return process_time() - begin
 
 
-def _swings(goals: Array) -> Figure:
+def _swings(goals: Array) -> Measurement:
     """The motion primitive beside Clarabel for every joint; a goal that is refused takes its time too."""
     limits = _limits(Arm())
     both = {"swing": Primitive(limits), "Clarabel": Primitive(limits, shortcuts=False)}
@@ -138,7 +138,7 @@ def _swings(goals: Array) -> Figure:
     return ratio("a swing / Clarabel alone on the same goals", ms, "swing", "Clarabel", 0.15, unit="ms")
 
 
-def _agreement(run: _Run) -> Iterator[Figure]:
+def _agreement(run: _Run) -> Iterator[Measurement]:
     """How often the other environments judge a trial as the analytic one does, and how far apart they land."""
     verdicts = {}
     for name in ENVIRONMENTS:
@@ -153,7 +153,9 @@ def _agreement(run: _Run) -> Iterator[Figure]:
         apart = np.linalg.norm(landings - landed, axis=1)
         apart = apart[~np.isnan(apart)]
         behind = {"landings apart, median m": float(np.median(apart))} if apart.size else {}
-        yield Figure(f"same strict verdict as analytic: {name}", float((strict == exact).mean()), None, True, behind)
+        yield Measurement(
+            f"same strict verdict as analytic: {name}", float((strict == exact).mean()), None, True, behind
+        )
 
 
 def _training_run(trials: int, seed: int) -> _Run:

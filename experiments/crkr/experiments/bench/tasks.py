@@ -13,8 +13,8 @@ import numpy as np
 
 from crkr.client import Client
 from crkr.experiments.bench import workload
-from crkr.experiments.bench.figures import Figure, in_turns, p50, ratio
-from crkr.experiments.bench.processes import serving
+from crkr.experiments.bench.measurements import Measurement, in_turns, p50, ratio
+from crkr.experiments.bench.processes import running_server
 from crkr.protocol import Array
 
 __all__ = ["measure"]
@@ -23,7 +23,7 @@ _ROUNDS: Final = 100  # first answers
 _RESTART_S: Final = 20.0
 
 
-def measure(directory: Path, count: int) -> Iterator[Figure]:
+def measure(directory: Path, count: int) -> Iterator[Measurement]:
     """All figures.
 
     Args:
@@ -32,8 +32,8 @@ def measure(directory: Path, count: int) -> Iterator[Figure]:
     """
     many = directory / "many"
     with ExitStack() as stack:
-        one = stack.enter_context(serving(directory / "one"))
-        crowded = stack.enter_context(serving(many))
+        one = stack.enter_context(running_server(directory / "one"))
+        crowded = stack.enter_context(running_server(many))
         _make(one, 1)
         made = _make(crowded, count)
         for client in (one, crowded):
@@ -45,11 +45,11 @@ def measure(directory: Path, count: int) -> Iterator[Figure]:
         times = {name: p50(taken) for name, taken in in_turns(calls, _ROUNDS, 1).items()}
         yield ratio(f"a new client's first answer p50: {count} tasks / one", times, "many", "one", 1.1)
     started = time.perf_counter()
-    with serving(many) as client:
+    with running_server(many) as client:
         client.task(workload.TASK).predict(workload.states(1)[0])
         seconds = time.perf_counter() - started
     what = f"restart of {count} tasks to the first answer / {_RESTART_S:.0f} s"
-    yield Figure(what, seconds / _RESTART_S, 1.0, behind={"s": seconds})
+    yield Measurement(what, seconds / _RESTART_S, 1.0, behind={"s": seconds})
 
 
 def _make(client: Client, count: int) -> Array:

@@ -55,10 +55,10 @@ def figure4(
 
     Example: crkr experiment figure4 --out figures
     """
-    from crkr.experiments.figures.method import draw_exploration, explored
+    from crkr.experiments.figures.method import draw_exploration, exploration_moments
 
     path = _file(out, "figure4.png", overwrite)
-    moments = explored(seed)
+    moments = exploration_moments(seed)
     draw_exploration(moments, path)
     stderr.print(f"{out / 'figure4.png'}: a demonstration and {moments[-1].iterations} trials")
 
@@ -125,7 +125,7 @@ def policy(
 
     Example: crkr experiment policy --vary ball_y --environment analytic
     """
-    from crkr.experiments.learning.run import Course, taught
+    from crkr.experiments.learning.run import Course, trained_learner
     from crkr.sim_worker.skill import SkillOptions
     from crkr.sim_worker.skill_registry import load_skill
     from crkr.sim_worker.supervisor.progress import Progress
@@ -134,7 +134,7 @@ def policy(
     path = _file(out, "policy.png", overwrite)
     skill = load_skill("table-tennis", SkillOptions(environment=environment, preset=preset))
     with Progress(stderr, "learning", trials, "trials") as progress:
-        learner = taught(skill, Course(trials, 0, _JUDGE, _DEMONSTRATIONS), seed, progress.show)
+        learner = trained_learner(skill, Course(trials, 0, _JUDGE, _DEMONSTRATIONS), seed, progress.show)
     index, states = varied(learner.spec, vary, 31, None)
     answer = learner.predict(states)
     draw_policy(learner.spec, index, states, answer.goals, answer.novelty, path)

@@ -17,7 +17,7 @@ from crkr.learner import Kernel, Learner
 from crkr.protocol import Array, TaskSpec
 from crkr.sim_worker.figure import new_figure, save_figure
 
-__all__ = ["Moment", "draw_exploration", "draw_kernel", "explored"]
+__all__ = ["Moment", "draw_exploration", "draw_kernel", "exploration_moments"]
 
 LENGTHSCALES: Final = (0.5, 1.5)
 REACH: Final = 3.0  # of the axes, in the units of the state
@@ -87,7 +87,7 @@ def best_goal(state: Array) -> Array:
     return np.sin(state) + 0.3 * state
 
 
-def explored(seed: int) -> list[Moment]:
+def exploration_moments(seed: int) -> list[Moment]:
     """The moments after `ITERATIONS` trials, each in a random state with a goal drawn by the policy."""
     learner = Learner(_specification(seed))
     rng = np.random.default_rng(seed)

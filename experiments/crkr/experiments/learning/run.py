@@ -17,7 +17,7 @@ from crkr.protocol import TaskSpec, training_id
 from crkr.sim_worker.randomness import demonstration_rng, evaluation_rng, fresh_rng, training_rng
 from crkr.sim_worker.skill import Skill
 
-__all__ = ["MARKS", "Course", "LearningRun", "Score", "learn_once", "taught"]
+__all__ = ["MARKS", "Course", "LearningRun", "Score", "learn_once", "trained_learner"]
 
 MARKS: Final = (0, 25, 50, 100, 200, 300, 500, 750, 1000, 1250)  # much is learned early
 
@@ -112,21 +112,21 @@ def learn_once(skill: Skill, course: Course, seed: int) -> LearningRun:
         if course.marks and (trial in course.marks or trial == course.trials):
             curve.append(_judge(skill, learner, trial, course.watched, lambda ball: evaluation_rng(seed, ball)))
 
-    learner = _taught(skill, course, seed, training, digest.update, watch)
+    learner = _trained_learner(skill, course, seed, training, digest.update, watch)
     final = _judge(skill, learner, course.trials, course.contexts, lambda ball: fresh_rng(course.judge, ball))
     return LearningRun(seed, final, tuple(curve), dict(training.most_common()), filled, digest.hexdigest())
 
 
-def taught(skill: Skill, course: Course, seed: int, show: Callable[[int], object]) -> Learner:
+def trained_learner(skill: Skill, course: Course, seed: int, show: Callable[[int], object]) -> Learner:
     """The learner of such a run, before its evaluation; `show` is called with the number of trials done."""
-    return _taught(skill, course, seed, Counter(), _ignore, lambda _, trial: show(trial))
+    return _trained_learner(skill, course, seed, Counter(), _ignore, lambda _, trial: show(trial))
 
 
 def _ignore(_: bytes) -> None:
     """Take no digest."""
 
 
-def _taught(
+def _trained_learner(
     skill: Skill,
     course: Course,
     seed: int,

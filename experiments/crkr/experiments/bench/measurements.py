@@ -1,4 +1,4 @@
-"""A benchmark's figures: one row, the table, and calls timed in turns, so that other load falls on all alike."""
+"""Measurements of a benchmark, their table, and calls timed in turns, so that other load falls on all alike."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ import numpy as np
 from crkr.client.cli.console import print_json, print_table
 from crkr.protocol import Array
 
-__all__ = ["Figure", "in_turns", "p50", "p99", "ratio", "show", "timed"]
+__all__ = ["Measurement", "in_turns", "p50", "p99", "ratio", "show", "timed"]
 
 
 @final
 @dataclass(frozen=True, slots=True)
-class Figure:
+class Measurement:
     """One row of the table.
 
     Attributes:
@@ -49,14 +49,14 @@ def ratio(
     *,
     at_least: bool = False,
     unit: str = "us",
-) -> Figure:
-    """The figure `above` / `below`, two of the numbers, with both behind it."""
+) -> Measurement:
+    """The measurement `above` / `below`, two of the numbers, with both behind it."""
     behind = {f"{name} {unit}": numbers[name] for name in (above, below)}
-    return Figure(what, numbers[above] / numbers[below], bar, at_least, behind)
+    return Measurement(what, numbers[above] / numbers[below], bar, at_least, behind)
 
 
-def show(figures: Iterable[Figure], title: str, as_json: bool, details: str = "behind") -> None:
-    """Print figures as one JSON value, with the numbers behind them under the key `details`, or as a table."""
+def show(found: Iterable[Measurement], title: str, as_json: bool, details: str = "behind") -> None:
+    """Print measurements as one JSON value, with the numbers behind them under the key `details`, or as a table."""
     if as_json:
         print_json(
             [
@@ -68,12 +68,12 @@ def show(figures: Iterable[Figure], title: str, as_json: bool, details: str = "b
                     details: dict(one.behind),
                     "reached": one.reached,
                 }
-                for one in figures
+                for one in found
             ]
         )
         return
     rows = []
-    for one in figures:
+    for one in found:
         bar = "" if one.bar is None else f"{'>=' if one.at_least else '<='} {one.bar:.3g}"
         mark = "" if one.bar is None else "reached" if one.reached else "NOT REACHED"
         behind = ", ".join(f"{name} {number:.4g}" for name, number in one.behind.items())

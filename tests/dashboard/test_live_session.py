@@ -95,7 +95,7 @@ def report(task: Task, count: int) -> list[int]:
     return list(receipt.seqs)
 
 
-def test_trials_from_before_are_caught_up_with_page_by_page(server: Any, crane: Task) -> None:
+def test_earlier_trials_are_read_page_by_page(server: Any, crane: Task) -> None:
     for _ in range(3):
         report(crane, 700)
     witness, _ = watched(server.endpoint, lambda seen, _: seen.progress.trials == 2100 and bool(seen.statuses))
@@ -127,7 +127,9 @@ def test_publications_arrive_as_pictures_and_odd_ones_do_no_harm(
     assert all(telemetry.trace is not None for telemetry in witness.pictures)
 
 
-def test_a_restarted_server_is_gone_on_with(start_server: Callable[..., Any], spec: TaskSpec, free_port: int) -> None:
+def test_watching_continues_after_a_restart_of_the_server(
+    start_server: Callable[..., Any], spec: TaskSpec, free_port: int
+) -> None:
     first = start_server(port=free_port)
     steps = iter(["end", "start again", "done"])
     step = next(steps)

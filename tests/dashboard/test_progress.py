@@ -103,7 +103,7 @@ def test_a_skill_without_criteria_has_its_success(stored: Make) -> None:
         {"epoch": 2**40, "reason": "x" * 5000, "outcomes": {"n" * 5000: True}},
     ],
 )
-def test_odd_information_is_read_as_if_it_were_not_there(stored: Make, info: dict[str, Any]) -> None:
+def test_unreadable_info_is_ignored(stored: Make, info: dict[str, Any]) -> None:
     row = Progress().add(stored(1, info=info), 0.0)
     assert row.epoch == 0
     assert len(row.reason) <= 48
@@ -121,7 +121,7 @@ def test_endless_new_names_do_not_grow_the_tables(stored: Make) -> None:
     assert progress.reasons["other"] == 199 - MAX_NAMES
 
 
-def test_what_is_judged_by_no_criterion_of_the_others_counts_for_none_of_them(stored: Make) -> None:
+def test_a_trial_counts_only_for_the_criteria_that_it_states(stored: Make) -> None:
     progress = Progress()
     progress.add(stored(1, "trial", success=False), 0.0)  # reported by hand, beside workers that name criteria
     for seq in range(2, 10, 2):
@@ -132,7 +132,7 @@ def test_what_is_judged_by_no_criterion_of_the_others_counts_for_none_of_them(st
     assert (list(result.tally.criteria), result.tally.rate("paper")) == (["paper"], 0.75)
 
 
-def test_epochs_that_anybody_makes_up_do_not_fill_the_memory(stored: Make) -> None:
+def test_the_number_of_epochs_in_memory_is_bounded(stored: Make) -> None:
     progress = Progress()
     for seq in range(1, MAX_EPOCHS + 50):
         progress.add(stored(seq, "evaluation", info={"epoch": 7919 * seq}), 10.0 * seq)
@@ -147,7 +147,7 @@ trials = st.tuples(
 
 
 @given(st.lists(trials, max_size=40), st.integers(1, 10))
-def test_a_window_says_what_counting_its_trials_anew_says(
+def test_a_window_equals_a_count_of_its_trials(
     history: list[tuple[float | None, dict[str, bool], str]], size: int
 ) -> None:
     window = Window(size)

@@ -78,7 +78,7 @@ def ball(stored: Make, seq: int, epoch: int) -> Any:
     return stored(seq, "evaluation", info={"epoch": epoch, "outcomes": {"hit": True}})
 
 
-def test_every_trial_is_told_once_in_order_at_the_time_it_was_stored(stored: Make, spec: Any) -> None:
+def test_every_trial_is_shown_once_in_order_at_the_time_it_was_stored(stored: Make, spec: Any) -> None:
     witness, done = Witness(), list[int]()
     progress = replay(Stored([stored(seq) for seq in range(2, 102)], spec), witness, lambda: True, done.append)
     assert [row.seq for row in witness.rows] == list(range(2, 102))
@@ -89,7 +89,7 @@ def test_every_trial_is_told_once_in_order_at_the_time_it_was_stored(stored: Mak
     assert any("no poses" in line for line in witness.of("say"))
 
 
-def test_evaluations_that_workers_play_at_once_are_told_whole(stored: Make, spec: Any) -> None:
+def test_evaluations_that_workers_play_at_once_are_shown_whole(stored: Make, spec: Any) -> None:
     """The next one begins while the last balls of one are in play."""
     epochs = [0] * 48 + [1, 0, 1, 0] + [1] * 47 + [2, 1] + [2] * 30
     trials = [ball(stored, seq, epoch) for seq, epoch in enumerate(epochs, start=2)]
@@ -98,7 +98,7 @@ def test_evaluations_that_workers_play_at_once_are_told_whole(stored: Make, spec
     assert witness.of("epoch") == [(0, 50), (1, 50), (2, 31)]
 
 
-def test_it_ends_at_the_page_at_which_it_is_told_to(stored: Make, spec: Any) -> None:
+def test_a_replay_stops_between_pages(stored: Make, spec: Any) -> None:
     witness = Witness()
     answers = iter([True, True, False])
     progress = replay(
@@ -107,7 +107,7 @@ def test_it_ends_at_the_page_at_which_it_is_told_to(stored: Make, spec: Any) -> 
     assert progress.trials == len(witness.rows) == 50
 
 
-def test_without_the_server_part_what_to_install_is_said(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_without_the_server_the_error_names_the_extra(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(stored_session, "entry_points", lambda **_: EntryPoints())
     with pytest.raises(Unsupported, match=r"crkr\[server\]"):
         open_run(tmp_path, "crane")
@@ -206,7 +206,7 @@ def test_the_page_stays_until_it_is_stopped(server: Any, crane: Task, tmp_path: 
         ("crabe", "data", "holds no task 'crabe'; it has crane"),
     ],
 )
-def test_what_is_wrong_is_one_line_and_a_failure(
+def test_an_error_is_one_line_and_status_1(
     server: Any, crane: Task, tmp_path: Path, task: str, directory: str, says: str
 ) -> None:
     where = server.data if directory == "data" else tmp_path / "empty" / directory

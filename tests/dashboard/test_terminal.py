@@ -97,7 +97,7 @@ def test_silence_grows_while_the_server_does_not_answer(stored: Make) -> None:
     assert re.findall(r"crane-1 .*?(\d+) s", seen.get()) == ["42", "60"]
 
 
-def test_a_terminal_says_what_the_task_says_of_itself() -> None:
+def test_a_terminal_shows_the_tasks_description() -> None:
     text = io.StringIO()
     console = Console(file=text, force_terminal=True, width=40, height=60, color_system=None, soft_wrap=True)
     with TerminalDisplay(console, "crane") as display:

@@ -106,7 +106,7 @@ def test_pages_show_numbers_and_no_foreign_markup(tables: dict[str, Any]) -> Non
     assert r"| stuck \| odd | 2 | 25 % | 25 % |" in outcomes
 
 
-def test_a_page_explains_the_panels_and_says_what_the_task_says_of_itself(tables: dict[str, Any]) -> None:
+def test_a_page_explains_the_panels_and_has_the_tasks_description(tables: dict[str, Any]) -> None:
     (guide,) = column(tables["/guide"], "TextDocument:text")
     assert guide.startswith(r"**crane \[1\]**: Lift \<loads\>. Cost: how far they swing.")
     assert "0 (best) to 1 (worst)" in guide
@@ -150,7 +150,7 @@ def test_the_layout_is_sent_before_any_data(
     assert paths.count("BlueprintActivationCommand") == 1  # another would undo what a viewer's user has changed
 
 
-def test_durations_of_ever_new_names_are_other(
+def test_durations_with_too_many_names_count_as_other(
     recording: Recording, file: Path, read: Read, stored: Make, message: Message
 ) -> None:
     display = RerunDisplay(recording, "crane")

@@ -96,7 +96,7 @@ def test_trials_that_come_faster_than_they_play_leave_their_paths(
     assert set(values(tables["/world/crane-1/motion"], "trial")) == {1, 3}
 
 
-def test_every_worker_has_a_world_of_its_own_beside_the_others(
+def test_every_worker_has_a_separate_world(
     robots: Robots, show: Show, recording: Recording, file: Path, read: Read
 ) -> None:
     for seq, worker in enumerate(["crane-1", "crane-2", "odd / name"], 1):
@@ -135,7 +135,7 @@ def test_demonstrations_are_played_where_the_first_worker_learns(
     assert not any(name.startswith("/world/teacher") for name in read(file))
 
 
-def test_demonstrations_alone_are_played_after_a_while(
+def test_demonstrations_without_trials_are_played_after_some_seconds(
     robots: Robots, show: Show, recording: Recording, file: Path, read: Read
 ) -> None:
     show(1, kind="demonstration", worker="teacher")
@@ -145,7 +145,7 @@ def test_demonstrations_alone_are_played_after_a_while(
     assert "/world/teacher/motion" in read(file)
 
 
-def test_endless_workers_do_not_fill_the_stage(
+def test_the_number_of_workers_that_are_drawn_is_bounded(
     robots: Robots, show: Show, recording: Recording, file: Path, read: Read
 ) -> None:
     for seq in range(1, MAX_WORKERS + 10):
@@ -221,7 +221,7 @@ def test_names_that_change_with_every_message_do_not_grow_the_recording(
     assert [word for word in ("bodies", "paths", "shapes") if not any(word in line for line in said)] == []
 
 
-def test_a_worker_has_its_shapes_drawn_anew_a_few_times_only(
+def test_the_shapes_of_a_worker_are_redrawn_a_few_times_only(
     robots: Robots, show: Show, message: Message, said: list[str], recording: Recording, file: Path, read: Read
 ) -> None:
     scene = message(1)["scene"]

@@ -59,7 +59,7 @@ def test_the_first_world_stays_where_it_is() -> None:
 
 
 @pytest.mark.parametrize("count", [1, 2, 4, 9])
-def test_the_eye_is_above_and_outside_of_the_worlds(count: int) -> None:
+def test_the_camera_is_above_and_outside_of_the_worlds(count: int) -> None:
     position, target = eye(count, LOW, HIGH)
     assert position[2] > HIGH[2]
     ends = np.array([offset(index, LOW, HIGH) for index in range(count)])
@@ -70,7 +70,7 @@ def test_the_eye_is_above_and_outside_of_the_worlds(count: int) -> None:
 
 
 @pytest.mark.parametrize("position", [(3.0, -2.0, 4.0), (-1.0, 5.0, 0.5), (2.0, 2.0, -3.0)])
-def test_a_camera_faces_its_target_and_stands_upright(position: tuple[float, float, float]) -> None:
+def test_a_camera_is_upright_and_faces_its_target(position: tuple[float, float, float]) -> None:
     target = np.array([0.5, 0.25, 0.7])
     turn = upright_rotation(np.array(position), target)
     np.testing.assert_allclose(turn.T @ turn, np.eye(3), atol=1e-12)

@@ -26,7 +26,7 @@ def test_an_echo_answers_every_question_with_as_many_bytes() -> None:
         assert bare.rate([b"x"] * 200, 64) > 0
 
 
-def test_the_bare_arithmetic_answers_a_question_of_the_task_in_the_size_of_an_answer() -> None:
+def test_the_bare_arithmetic_answers_with_as_many_bytes_as_the_server() -> None:
     with echo_server(500, 40) as endpoint, BareQuerier(endpoint, KEY) as bare:
         answers = {bare.ask(workload.predict_payload()), bare.ask(workload.predict_payload())}
     assert [len(one) for one in answers] == [500]
@@ -94,7 +94,7 @@ def test_a_server_that_dies_while_it_is_measured_ends_the_measurement(tmp_path: 
         measure()
 
 
-def test_a_failure_beside_a_healthy_server_stays_what_it_is(tmp_path: Path) -> None:
+def test_an_error_beside_a_healthy_server_is_raised_unchanged(tmp_path: Path) -> None:
     with pytest.raises(KeyError), running_server(tmp_path / "data"):
         raise KeyError
 
@@ -133,7 +133,7 @@ def test_calls_are_timed_in_turns() -> None:
     assert p99(np.linspace(0.0, 1e-3, 101)) == pytest.approx(990.0)
 
 
-def test_a_figure_is_judged_by_its_bar(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_measurement_is_compared_with_its_bar(capsys: pytest.CaptureFixture[str]) -> None:
     figures = [
         Measurement("quick", 1.0, 1.15, False, {"us": 150.0}),
         Measurement("slow", 1.2, 1.15, False, {"us": 180.0}),
@@ -151,7 +151,7 @@ def test_a_figure_is_judged_by_its_bar(capsys: pytest.CaptureFixture[str]) -> No
     assert '"reached": false' in capsys.readouterr().out
 
 
-def test_a_log_that_cannot_be_written_is_told(tmp_path: Path) -> None:
+def test_a_log_that_cannot_be_written_is_an_error(tmp_path: Path) -> None:
     (tmp_path / "few").write_text("a file where the folder should be")
     with pytest.raises(Unavailable, match="the log of 1000 trials was not written: its process ended with 1"):
         list(restart_figures(tmp_path, 10))

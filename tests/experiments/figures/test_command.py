@@ -40,7 +40,7 @@ def test_a_figure_of_the_method_takes_no_simulation(app: Typer, tmp_path: Path, 
     assert_drawn(tmp_path / "new" / "folder" / f"{name}.png")
 
 
-def test_a_figure_that_is_there_is_replaced_only_where_that_was_asked_for(app: Typer, tmp_path: Path) -> None:
+def test_an_existing_figure_is_replaced_only_with_overwrite(app: Typer, tmp_path: Path) -> None:
     figure = tmp_path / "figure3.png"
     figure.write_text("of an earlier run")
     result = CliRunner().invoke(app, ["figure3", "--out", str(tmp_path)])

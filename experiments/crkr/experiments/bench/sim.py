@@ -15,10 +15,10 @@ from typing import Final, NamedTuple, final
 import numpy as np
 
 from crkr.experiments.bench.measurements import Measurement, ratio
-from crkr.learner import Learner
+from crkr.experiments.learning.run import Course, trained_learner
 from crkr.protocol import Array
 from crkr.sim_worker.primitives.stroke import Infeasible, JointLimits, Primitive
-from crkr.sim_worker.randomness import demonstration_rng, training_rng
+from crkr.sim_worker.randomness import training_rng
 from crkr.sim_worker.skill import SkillOptions
 from crkr.sim_worker.table_tennis.arm import tracking
 from crkr.sim_worker.table_tennis.arm.dynamics import ACCELERATION_LIMITS, SPEED_LIMITS, Arm
@@ -159,16 +159,11 @@ def _agreement(run: _Run) -> Iterator[Measurement]:
 
 
 def _training_run(trials: int, seed: int) -> _Run:
-    """A run of the default skill, of which the last `trials` are timed."""
+    """Trials of the default skill after the first 300 of a run."""
     skill = TableTennis(SkillOptions(seed=seed), traces=False)
-    learner = Learner(skill.spec())
-    for shown in skill.demonstrations(5, demonstration_rng(seed)):
-        learner.report(
-            state=shown.state, goal=shown.goal, cost=shown.result.cost, success=True, kind="demonstration",
-            outcome=shown.result.outcome,
-        )  # fmt: skip
-    rng, balls, goals, executed, spent = training_rng(seed, 1), [], [], [], 0.0
-    for trial in range(_WARM + trials):
+    learner = trained_learner(skill, Course(_WARM, 0, 0, 5), seed, lambda _: None)
+    rng, balls, goals, executed, spent = training_rng(seed, 2), [], [], [], 0.0
+    for _ in range(trials):
         ball = skill.reset(rng)
         begin = process_time()
         answer = learner.predict(ball, explore=True)
@@ -177,10 +172,9 @@ def _training_run(trials: int, seed: int) -> _Run:
         played = process_time()
         kind = "trial" if result.executed else "failed"
         learner.report(answer, cost=result.cost, success=result.success, kind=kind, outcome=result.outcome)
-        if trial >= _WARM:
-            spent += chosen - begin + process_time() - played
-            balls.append(ball)
-            goals.append(answer.goals)
-            executed.append(result.executed)
+        spent += chosen - begin + process_time() - played
+        balls.append(ball)
+        goals.append(answer.goals)
+        executed.append(result.executed)
     moved = np.array(executed)
     return _Run(np.array(balls)[moved], np.array(goals)[moved], np.array(goals), 1e3 * spent / trials)

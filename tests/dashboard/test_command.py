@@ -125,7 +125,7 @@ def test_without_a_terminal_the_tables_become_lines(crane: Task, server: Any, wa
     assert process.wait(PATIENCE_S) == 0
 
 
-def test_a_server_that_does_not_come_is_one_line_and_a_failure(watch: Watch, free_port: int) -> None:
+def test_a_missing_server_is_one_line_and_status_1(watch: Watch, free_port: int) -> None:
     process = watch("--terminal", "--patience", "1", "--connect", f"tcp/127.0.0.1:{free_port}")
     out, error = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 1
@@ -145,7 +145,7 @@ def test_a_signal_while_it_waits_for_a_server_ends_it(watch: Watch, free_port: i
         assert (process.returncode, rest) == (0, "")
 
 
-def test_a_second_ctrl_c_ends_it_whatever_it_is_doing(watch: Watch, free_port: int) -> None:
+def test_a_second_ctrl_c_ends_the_process_at_once(watch: Watch, free_port: int) -> None:
     """It is in the middle of a question that goes on for ten minutes."""
     endpoint = f"tcp/127.0.0.1:{free_port}"
     process = watch("--terminal", "--timeout", "600", "--connect", endpoint, "--log-level", "info")
@@ -158,7 +158,7 @@ def test_a_second_ctrl_c_ends_it_whatever_it_is_doing(watch: Watch, free_port: i
     assert process.returncode == -signal.SIGINT
 
 
-def test_a_taken_port_that_was_asked_for_is_one_line_and_a_failure(watch: Watch) -> None:
+def test_a_taken_port_that_was_asked_for_is_one_line_and_status_1(watch: Watch) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = str(taken.getsockname()[1])
         _, error = watch("--port", port).communicate(timeout=PATIENCE_S)
@@ -167,7 +167,7 @@ def test_a_taken_port_that_was_asked_for_is_one_line_and_a_failure(watch: Watch)
     ]
 
 
-def test_a_window_without_a_display_is_one_line_and_a_failure(watch: Watch) -> None:
+def test_a_window_without_a_display_is_one_line_and_status_1(watch: Watch) -> None:
     _, error = watch("--native", DISPLAY="", WAYLAND_DISPLAY="").communicate(timeout=PATIENCE_S)
     assert error.splitlines()[-1] == "error: --native needs a display, and there is none here; use --web or --terminal"
 
@@ -187,7 +187,7 @@ def test_options_that_make_no_sense_together_are_wrong_usage(watch: Watch, optio
     assert process.returncode == 2
 
 
-def test_a_file_that_cannot_be_written_is_said_at_once(watch: Watch, tmp_path: Path) -> None:
+def test_a_file_that_cannot_be_written_is_an_error_at_once(watch: Watch, tmp_path: Path) -> None:
     process = watch("--save", str(tmp_path / "missing" / "run.rrd"))
     _, error = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 1
@@ -195,9 +195,7 @@ def test_a_file_that_cannot_be_written_is_said_at_once(watch: Watch, tmp_path: P
     assert len(error.splitlines()) == 1
 
 
-def test_a_recording_that_is_there_is_replaced_only_where_that_was_asked_for(
-    watch: Watch, tmp_path: Path, free_port: int
-) -> None:
+def test_an_existing_recording_is_replaced_only_with_overwrite(watch: Watch, tmp_path: Path, free_port: int) -> None:
     file = tmp_path / "night.rrd"
     file.write_text("of last night")
     away = ("--save", str(file), "--patience", "0.1", "--timeout", "0.2", "--connect", f"tcp/127.0.0.1:{free_port}")
@@ -209,7 +207,7 @@ def test_a_recording_that_is_there_is_replaced_only_where_that_was_asked_for(
     assert [path.read_text() for path in tmp_path.iterdir()] == ["of last night"]
 
 
-def test_a_run_that_met_no_task_leaves_no_recording(watch: Watch, tmp_path: Path, free_port: int) -> None:
+def test_a_run_without_a_task_leaves_no_recording(watch: Watch, tmp_path: Path, free_port: int) -> None:
     file = tmp_path / "run.rrd"
     away = ("--patience", "0.1", "--timeout", "0.2", "--connect", f"tcp/127.0.0.1:{free_port}")
     _, error = watch("--save", str(file), *away).communicate(timeout=PATIENCE_S)
@@ -228,7 +226,7 @@ def test_a_run_that_met_no_task_leaves_no_recording(watch: Watch, tmp_path: Path
     ],
     ids=lambda environment: next(iter(environment)),
 )
-def test_a_recording_that_is_asked_for_is_made_whatever_the_environment_says(
+def test_reruns_environment_variables_do_not_change_a_recording(
     crane: Task, server: Any, watch: Watch, tmp_path: Path, environment: dict[str, str]
 ) -> None:
     report(crane, 30)

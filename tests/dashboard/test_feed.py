@@ -5,7 +5,7 @@ import pytest
 
 from crkr.dashboard import EpochResult, Feed, Progress, Row, Telemetry
 from crkr.dashboard.feed import MAX_WAITING
-from crkr.dashboard.poller import News
+from crkr.dashboard.poller import Update
 from crkr.protocol import Internal, StoredTrial, Unavailable
 
 Make = Callable[..., StoredTrial]
@@ -63,10 +63,10 @@ def feed(notebook: Notebook) -> Feed:
     return Feed(notebook)
 
 
-def test_an_evaluation_that_waits_for_more_trials_is_told_at_the_end(
+def test_an_evaluation_that_waits_for_more_trials_is_shown_at_the_end(
     feed: Feed, notebook: Notebook, stored: Make
 ) -> None:
-    feed.news(News(trials=tuple(stored(seq, "evaluation", info={"epoch": 0}) for seq in (1, 2))), 0.0)
+    feed.update(Update(trials=tuple(stored(seq, "evaluation", info={"epoch": 0}) for seq in (1, 2))), 0.0)
     feed.step(0.0)
     assert notebook.epochs == []
     feed.finish()
@@ -78,18 +78,18 @@ def test_a_picture_waits_until_the_log_has_its_trial(
     feed: Feed, notebook: Notebook, stored: Make, message: Message
 ) -> None:
     feed.publication("trial", message(2))
-    feed.news(News(trials=(stored(1),)), 0.0)
+    feed.update(Update(trials=(stored(1),)), 0.0)
     feed.step(0.0)
     assert notebook.pictures == []
-    feed.news(News(trials=(stored(2),)), 0.5)
+    feed.update(Update(trials=(stored(2),)), 0.5)
     feed.step(0.5)
     feed.step(0.6)
     assert notebook.pictures == [(2, 2)]
     assert notebook.seqs == [1, 2]
 
 
-def test_trials_are_told_though_every_publication_was_lost(feed: Feed, notebook: Notebook, stored: Make) -> None:
-    feed.news(News(trials=tuple(stored(seq) for seq in range(1, 100))), 0.0)
+def test_trials_are_shown_when_every_publication_is_lost(feed: Feed, notebook: Notebook, stored: Make) -> None:
+    feed.update(Update(trials=tuple(stored(seq) for seq in range(1, 100))), 0.0)
     feed.step(0.0)
     assert notebook.seqs == list(range(1, 100))
 
@@ -98,7 +98,7 @@ def test_a_picture_of_a_trial_that_the_log_does_not_have_is_dropped_and_counted(
     feed: Feed, notebook: Notebook, stored: Make, message: Message
 ) -> None:
     feed.publication("trial", message(2))
-    feed.news(News(trials=(stored(1), stored(3))), 0.0)
+    feed.update(Update(trials=(stored(1), stored(3))), 0.0)
     feed.step(0.0)
     assert notebook.pictures == []
     assert feed.dropped == 1
@@ -121,7 +121,7 @@ def test_unreadable_publications_are_counted_and_the_first_ones_named(
     assert "worker" in notebook.lines[0]
 
 
-def test_goals_that_were_refused_are_counted_and_told_though_the_log_has_no_such_trial(
+def test_refused_goals_are_counted_and_shown_without_a_trial_in_the_log(
     feed: Feed, notebook: Notebook, message: Message
 ) -> None:
     refused = message(1, kind="failed")
@@ -138,30 +138,30 @@ def test_notices_of_the_model_are_no_pictures(feed: Feed) -> None:
     assert feed.skipped == 0
 
 
-def test_a_server_that_is_away_is_said_once_and_its_return_too(feed: Feed, notebook: Notebook, stored: Make) -> None:
+def test_the_loss_and_the_return_of_a_server_are_each_shown_once(feed: Feed, notebook: Notebook, stored: Make) -> None:
     for _ in range(3):
-        feed.news(News(lost=Unavailable("no answer")), 0.0)
-    feed.news(News(trials=(stored(1),)), 1.0)
-    feed.news(News(trials=(stored(2),)), 2.0)
+        feed.update(Update(lost=Unavailable("no answer")), 0.0)
+    feed.update(Update(trials=(stored(1),)), 1.0)
+    feed.update(Update(trials=(stored(2),)), 2.0)
     assert notebook.lines == ["the server does not answer; waiting for it", "the server answers again"]
     assert notebook.warned == [True, False]
 
 
-def test_an_error_of_the_server_is_said_in_its_words(feed: Feed, notebook: Notebook) -> None:
-    feed.news(News(lost=Internal("a page is missing")), 0.0)
+def test_an_error_of_the_server_is_shown_as_it_is(feed: Feed, notebook: Notebook) -> None:
+    feed.update(Update(lost=Internal("a page is missing")), 0.0)
     assert notebook.lines == ["INTERNAL: a page is missing"]
 
 
-def test_a_log_that_became_shorter_is_another_one(feed: Feed, notebook: Notebook, stored: Make) -> None:
-    feed.news(News(trials=(stored(9),)), 0.0)
+def test_a_log_that_became_shorter_gives_a_warning(feed: Feed, notebook: Notebook, stored: Make) -> None:
+    feed.update(Update(trials=(stored(9),)), 0.0)
     for _ in range(2):
-        feed.news(News(status={"seq": 3}), 0.0)
+        feed.update(Update(status={"seq": 3}), 0.0)
     assert len(notebook.lines) == 1
     assert "ends at 3" in notebook.lines[0]
 
 
-def test_a_finished_evaluation_is_told_once(feed: Feed, notebook: Notebook, stored: Make) -> None:
-    feed.news(News(trials=(stored(1, "evaluation", info={"epoch": 0}),)), 0.0)
+def test_a_finished_evaluation_is_shown_once(feed: Feed, notebook: Notebook, stored: Make) -> None:
+    feed.update(Update(trials=(stored(1, "evaluation", info={"epoch": 0}),)), 0.0)
     for now in (1.0, 10.0, 20.0):
         feed.step(now)
     assert notebook.epochs == [0]
@@ -169,7 +169,7 @@ def test_a_finished_evaluation_is_told_once(feed: Feed, notebook: Notebook, stor
     assert notebook.progress is feed.progress
 
 
-def test_the_picture_by_the_worker_that_the_log_names_goes_before_others(stored: Make, message: Message) -> None:
+def test_the_picture_of_the_worker_in_the_log_has_precedence(stored: Make, message: Message) -> None:
     class Named(Notebook):
         def picture(self, row: Row, telemetry: Telemetry) -> None:
             super().picture(row, telemetry)
@@ -181,7 +181,7 @@ def test_the_picture_by_the_worker_that_the_log_names_goes_before_others(stored:
         feed.publication("trial", message(1, worker=f"made-up-{number}"))
     feed.publication("trial", message(1))
     feed.publication("trial", message(2, worker="another"))
-    feed.news(News(trials=(stored(1), stored(2))), 0.0)
+    feed.update(Update(trials=(stored(1), stored(2))), 0.0)
     feed.step(0.0)
     assert view.lines == ["crane-1", "another"]
     assert feed.dropped == 20
@@ -190,7 +190,7 @@ def test_the_picture_by_the_worker_that_the_log_names_goes_before_others(stored:
 def test_a_trial_is_shown_once_however_often_it_is_published(
     feed: Feed, notebook: Notebook, stored: Make, message: Message
 ) -> None:
-    feed.news(News(trials=(stored(1),)), 0.0)
+    feed.update(Update(trials=(stored(1),)), 0.0)
     for now in range(5):
         feed.publication("trial", message(1))
         feed.step(float(now))
@@ -212,7 +212,7 @@ def test_a_publication_that_breaks_the_view_is_counted_and_the_next_is_shown(sto
 
     view = Brittle()
     feed = Feed(view)
-    feed.news(News(trials=(stored(1), stored(2))), 0.0)
+    feed.update(Update(trials=(stored(1), stored(2))), 0.0)
     for seq in (1, 2):
         feed.publication("trial", message(seq))
     feed.step(0.0)
@@ -222,7 +222,7 @@ def test_a_publication_that_breaks_the_view_is_counted_and_the_next_is_shown(sto
     assert [word for word in ("too deep", "too large") if word not in " ".join(view.lines)] == []
 
 
-def test_a_message_nested_beyond_all_measure_is_counted(feed: Feed, message: Message) -> None:
+def test_a_message_nested_too_deep_is_counted(feed: Feed, message: Message) -> None:
     nested: Any = 0
     for _ in range(100_000):
         nested = [nested]

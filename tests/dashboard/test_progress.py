@@ -2,8 +2,10 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from crkr.dashboard.progress import MAX_EPOCHS, MAX_NAMES, QUIET_S, Progress
+from crkr.dashboard.progress import MAX_EPOCHS, MAX_NAMES, QUIET_S, Progress, Window
 from crkr.protocol import StoredTrial
 
 Make = Callable[..., StoredTrial]
@@ -101,7 +103,7 @@ def test_a_skill_without_criteria_has_its_success(stored: Make) -> None:
         {"epoch": 2**40, "reason": "x" * 5000, "outcomes": {"n" * 5000: True}},
     ],
 )
-def test_odd_information_is_read_as_if_it_were_not_there(stored: Make, info: dict[str, Any]) -> None:
+def test_unreadable_info_is_ignored(stored: Make, info: dict[str, Any]) -> None:
     row = Progress().add(stored(1, info=info), 0.0)
     assert row.epoch == 0
     assert len(row.reason) <= 48
@@ -119,7 +121,7 @@ def test_endless_new_names_do_not_grow_the_tables(stored: Make) -> None:
     assert progress.reasons["other"] == 199 - MAX_NAMES
 
 
-def test_what_is_judged_by_no_criterion_of_the_others_counts_for_none_of_them(stored: Make) -> None:
+def test_a_trial_counts_only_for_the_criteria_that_it_states(stored: Make) -> None:
     progress = Progress()
     progress.add(stored(1, "trial", success=False), 0.0)  # reported by hand, beside workers that name criteria
     for seq in range(2, 10, 2):
@@ -130,10 +132,33 @@ def test_what_is_judged_by_no_criterion_of_the_others_counts_for_none_of_them(st
     assert (list(result.tally.criteria), result.tally.rate("paper")) == (["paper"], 0.75)
 
 
-def test_epochs_that_anybody_makes_up_do_not_fill_the_memory(stored: Make) -> None:
+def test_the_number_of_epochs_in_memory_is_bounded(stored: Make) -> None:
     progress = Progress()
     for seq in range(1, MAX_EPOCHS + 50):
         progress.add(stored(seq, "evaluation", info={"epoch": 7919 * seq}), 10.0 * seq)
         progress.finished_epochs(10.0 * seq)
     assert len(progress.epochs) == MAX_EPOCHS
     assert max(progress.epochs) == 7919 * (MAX_EPOCHS + 49)
+
+
+trials = st.tuples(
+    st.none() | st.floats(0, 1), st.dictionaries(st.sampled_from("ab"), st.booleans()), st.sampled_from("xyz")
+)
+
+
+@given(st.lists(trials, max_size=40), st.integers(1, 10))
+def test_a_window_equals_a_count_of_its_trials(
+    history: list[tuple[float | None, dict[str, bool], str]], size: int
+) -> None:
+    window = Window(size)
+    for trial in history:
+        window.add(*trial)
+    kept = history[-size:]
+    costs = [cost for cost, _, _ in kept if cost is not None]
+    assert len(window) == len(kept)
+    assert window.mean_cost() == (pytest.approx(sum(costs) / len(costs)) if costs else None)
+    for name in "ab":
+        met = [outcomes[name] for _, outcomes, _ in kept if name in outcomes]
+        assert window.rate(name) == (sum(met) / len(met) if met else None)
+    for reason in "xyz":
+        assert window.share(reason) == sum(r == reason for _, _, r in kept) / max(len(kept), 1)

@@ -15,7 +15,7 @@ def test_workers_are_in_the_state_that_the_server_names_the_living_first() -> No
     ]
 
 
-def test_a_workers_silence_is_what_the_server_measured_and_what_has_passed_since() -> None:
+def test_a_workers_silence_is_the_servers_measurement_plus_the_time_since() -> None:
     """The time of day at the server, `last_seen`, may be years off."""
     told: dict[str, dict[str, object]] = {
         "a": {"last_seen_s": 2.0, "last_seen": 0.0},

@@ -10,7 +10,7 @@ import pytest
 from rich.console import Console
 
 from crkr.dashboard.feed import Feed
-from crkr.dashboard.poller import News
+from crkr.dashboard.poller import Update
 from crkr.dashboard.terminal import TerminalDisplay, sparkline
 from crkr.protocol import StoredTrial
 
@@ -24,34 +24,34 @@ STATUS = {
 }
 
 
-def shown(terminal: bool, news: list[News]) -> str:
+def shown(terminal: bool, updates: list[Update]) -> str:
     text = io.StringIO()
     console = Console(file=text, force_terminal=terminal, width=160, height=60, color_system=None)
     with TerminalDisplay(console, "crane") as display:
         feed = Feed(display)
-        for number, piece in enumerate(news):
-            feed.news(piece, float(number))
+        for number, piece in enumerate(updates):
+            feed.update(piece, float(number))
             feed.step(float(number) * 10.0)
         display.finish(feed.progress)
     return text.getvalue()
 
 
 @pytest.fixture
-def run(stored: Make) -> list[News]:
+def run(stored: Make) -> list[Update]:
     def ball(seq: int, epoch: int, hit: bool) -> StoredTrial:
         return stored(seq, "evaluation", info={"epoch": epoch, "outcomes": {"hit": hit}})
 
     lifted = [stored(seq, info={"reason": "lifted", "outcomes": {"hit": True}}) for seq in (3, 4, 5)]
     stuck = [stored(6, info={"reason": "stuck [bold]", "outcomes": {"hit": False}}, success=False)]
     return [
-        News(trials=(ball(1, 0, False), ball(2, 0, True))),
-        News(trials=(*lifted, *stuck)),
-        News(trials=(ball(7, 1, True), ball(8, 1, True))),
-        News(status=STATUS),
+        Update(trials=(ball(1, 0, False), ball(2, 0, True))),
+        Update(trials=(*lifted, *stuck)),
+        Update(trials=(ball(7, 1, True), ball(8, 1, True))),
+        Update(status=STATUS),
     ]
 
 
-def test_a_terminal_shows_curve_reasons_workers_and_latency(run: list[News]) -> None:
+def test_a_terminal_shows_curve_reasons_workers_and_latency(run: list[Update]) -> None:
     text = shown(True, run)
     for expected in (
         "▅█",
@@ -75,7 +75,7 @@ def test_names_are_whole_however_narrow_the_terminal_is(stored: Make, width: int
     console = Console(width=width, height=200, color_system=None)
     display = TerminalDisplay(console, "crane")
     feed = Feed(display)
-    feed.news(News(trials=(stored(1, worker=name, info={"reason": "r" + name[:40]}),), status=status), 1.0)
+    feed.update(Update(trials=(stored(1, worker=name, info={"reason": "r" + name[:40]}),), status=status), 1.0)
     feed.step(2.0)
     with console.capture() as seen:
         console.print(display.page(feed.progress, 2.0))
@@ -89,7 +89,7 @@ def test_silence_grows_while_the_server_does_not_answer(stored: Make) -> None:
     console = Console(width=160, color_system=None)
     display = TerminalDisplay(console, "crane")
     feed = Feed(display)
-    feed.news(News(trials=(stored(1),), status=STATUS), 1000.0)
+    feed.update(Update(trials=(stored(1),), status=STATUS), 1000.0)
     feed.step(1001.0)
     with console.capture() as seen:
         console.print(display.page(feed.progress, 1002.0))
@@ -97,7 +97,7 @@ def test_silence_grows_while_the_server_does_not_answer(stored: Make) -> None:
     assert re.findall(r"crane-1 .*?(\d+) s", seen.get()) == ["42", "60"]
 
 
-def test_a_terminal_says_what_the_task_says_of_itself() -> None:
+def test_a_terminal_shows_the_tasks_description() -> None:
     text = io.StringIO()
     console = Console(file=text, force_terminal=True, width=40, height=60, color_system=None, soft_wrap=True)
     with TerminalDisplay(console, "crane") as display:
@@ -107,7 +107,7 @@ def test_a_terminal_says_what_the_task_says_of_itself() -> None:
     assert "Lift [bold] loads. Cost: how far they swing, and no more than that." in words
 
 
-def test_without_a_terminal_there_are_plain_lines(run: list[News]) -> None:
+def test_without_a_terminal_there_are_plain_lines(run: list[Update]) -> None:
     text = shown(False, run)
     assert "\x1b" not in text
     assert "epoch 1: hit 1.00 of 2 evaluation trials" in text.splitlines()
@@ -115,8 +115,8 @@ def test_without_a_terminal_there_are_plain_lines(run: list[News]) -> None:
 
 
 def test_a_run_without_trials_can_be_shown() -> None:
-    assert "trials 0" in shown(True, [News(status={})])
-    assert "trials 0" in shown(False, [News(status={"workers": 3, "latency_us": []})])
+    assert "trials 0" in shown(True, [Update(status={})])
+    assert "trials 0" in shown(False, [Update(status={"workers": 3, "latency_us": []})])
 
 
 @pytest.mark.parametrize(("shares", "bars"), [([], ""), ([0.0, 0.5, 1.0], "▁▅█"), ([-1.0, 2.0], "▁█")])
@@ -133,10 +133,10 @@ def test_terminal_imports_no_rerun() -> None:
     assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
 
 
-def test_odd_status_fields_do_no_harm(run: list[News]) -> None:
+def test_odd_status_fields_do_no_harm(run: list[Update]) -> None:
     odd: dict[str, Any] = {
         "active": "many",
         "workers": [{"id": 3, "last_seen": "never"}],
         "latency_us": {"a": {"p50": "x"}},
     }
-    assert "many" in shown(True, [*run, News(status=odd)])
+    assert "many" in shown(True, [*run, Update(status=odd)])

@@ -1,15 +1,17 @@
 import os
 import select
 import signal
+import socket
 import subprocess
 import sys
 import urllib.request
+from collections.abc import Iterator
 from pathlib import Path
 from urllib.parse import parse_qs, urlsplit
 
 import pytest
 
-from crkr.dashboard.viewer import Viewer, page_address, require_display, stream_address
+from crkr.dashboard.viewer import Viewer, choose_port, page_address, require_display, stream_address
 from crkr.protocol import Invalid, Unavailable
 
 HOST = "127.0.0.1"
@@ -94,3 +96,27 @@ def test_the_pages_address_names_the_stream() -> None:
     parts = urlsplit(page_address(HOST, 9090, 9876))
     assert parts.netloc == f"{HOST}:9090"
     assert parse_qs(parts.query)["url"] == [f"rerun+http://{HOST}:9876/proxy"]
+
+
+@pytest.fixture
+def taken() -> Iterator[int]:
+    with socket.create_server((HOST, 0)) as listener:
+        port: int = listener.getsockname()[1]
+        yield port
+
+
+def test_a_free_port_is_taken_as_it_is(free_port: int) -> None:
+    assert choose_port(HOST, free_port, 1) == free_port
+    assert choose_port(HOST, None, free_port) == free_port
+
+
+def test_the_next_free_port_stands_in_for_a_taken_default(taken: int) -> None:
+    chosen = choose_port(HOST, None, taken)
+    assert chosen > taken
+    with socket.create_server((HOST, chosen)):
+        pass
+
+
+def test_a_taken_port_that_was_asked_for_is_refused(taken: int) -> None:
+    with pytest.raises(Invalid, match=f"port {taken} on {HOST} is taken"):
+        choose_port(HOST, taken, 1)

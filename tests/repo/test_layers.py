@@ -33,13 +33,11 @@ LAYERS = {
     "sim_worker": _layer("protocol client", "numpy scipy mujoco pinocchio coal clarabel matplotlib PIL av typer rich"),
     "dashboard": _layer("protocol client", "numpy rerun typer rich"),
     "experiments": _layer(
-        "protocol learner client sim_worker", "numpy scipy matplotlib joblib sklearn rliable typer rich"
+        "protocol learner client sim_worker", "numpy scipy matplotlib joblib sklearn zenoh typer rich"
     ),
 }
 # The mirror is a learner that lives in the client: that one module may know the mathematics.
 MIRROR = re.compile(r"client/crkr/client/mirror(\.py|/.*\.py)")
-# What predictions are measured against is their bare arithmetic, and that alone.
-FLOOR = "client/crkr/client/bench/arithmetic.py"
 # The mathematics does no I/O, starts no threads and reads no clock.
 IMPURE = frozenset({"asyncio", "concurrent", "io", "multiprocessing", "os", "pathlib", "queue", "random"}) | frozenset(
     {"socket", "sqlite3", "subprocess", "threading", "time"}
@@ -86,7 +84,6 @@ def violations(source: str, path: str) -> list[str]:
     root, *inner, _ = path.split("/")
     layer = LAYERS[root]
     parts = layer.parts | {root} | ({"learner"} if MIRROR.fullmatch(path) else set())
-    packages = layer.packages | ({"scipy"} if path == FLOOR else set())
     found = []
     for line, name in imported_modules(source, ".".join(inner)):
         top, _, rest = name.partition(".")
@@ -95,7 +92,7 @@ def violations(source: str, path: str) -> list[str]:
         elif top in sys.stdlib_module_names:
             crossed = top in UNSAFE or (root == "learner" and top in IMPURE)
         else:
-            crossed = top not in packages
+            crossed = top not in layer.packages
         if crossed:
             found.append(f"{path}:{line}: {root} may not import {name}")
     return found

@@ -65,8 +65,8 @@ def test_the_client_and_the_command_work_without_the_extras() -> None:
     ("command", "arguments", "extra"),
     [
         ("bench learn", "", "experiments"),
-        ("bench predict", "", "server"),
-        ("bench report", "", "server"),
+        ("bench predict", "", "experiments"),
+        ("bench report", "", "experiments"),
         ("bench sim", "", "experiments"),
         ("experiment learning", "", "experiments"),
         ("export", "throw throw.parquet", "export"),

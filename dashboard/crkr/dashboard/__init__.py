@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from crkr.dashboard.feed import Feed
+from crkr.dashboard.feed import Feed, View
 from crkr.dashboard.progress import EpochResult, Progress, Row
 from crkr.dashboard.telemetry import Telemetry
-from crkr.dashboard.view import View
 
 __all__ = ["EpochResult", "Feed", "Progress", "Row", "Telemetry", "View"]

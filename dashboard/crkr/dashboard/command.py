@@ -16,10 +16,10 @@ from crkr.client import Client
 from crkr.client.cli.console import configure_logging, stderr, stdout
 from crkr.client.cli.options import Connect, LogLevel, Overwrite, Timeout, ZenohConfig
 from crkr.client.cli.output_file import beside, check_output
-from crkr.dashboard.ports import choose_port
-from crkr.dashboard.sessions import LiveSession, ReplaySession, Session
-from crkr.dashboard.viewer import Viewer, page_address, require_display, stream_address
-from crkr.dashboard.watch_loop import StopRequest
+from crkr.client.cli.stop_request import StopRequest
+from crkr.dashboard.live_session import LiveSession
+from crkr.dashboard.stored_session import StoredSession
+from crkr.dashboard.viewer import Viewer, choose_port, page_address, require_display, stream_address
 from crkr.protocol import Unavailable
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ WEB_PORT: Final = 9090
 PICTURES_S: Final = 1 / 15
 TABLES_S: Final = 0.25
 CLOSE_S: Final = 1.5
-CLOSE_REPLAY_S: Final = 60.0  # a long log is written for some seconds, and nobody waits to be let go
+CLOSE_REPLAY_S: Final = 60.0  # writing a long log takes some seconds
 LOOPBACK: Final = "127.0.0.1"
 
 
@@ -44,7 +44,7 @@ def watch(
     terminal: Annotated[bool, typer.Option("--terminal", help="Show tables in this terminal; needs no Rerun.")] = False,
     replay: Annotated[
         Path | None,
-        typer.Option(metavar="DATA-DIR", help="Show what a server's data directory holds; no server is needed."),
+        typer.Option(metavar="DATA-DIR", help="Show a run from a server's data directory; no server is needed."),
     ] = None,
     save: Annotated[Path | None, typer.Option(metavar="RUN.rrd", help="Also write the recording to this file.")] = None,
     overwrite: Overwrite = False,
@@ -55,10 +55,11 @@ def watch(
         int | None, typer.Option(min=1, max=65535, help="Port of the web page; 9090 or the next free one.")
     ] = None,
     bind: Annotated[
-        str, typer.Option(metavar="ADDRESS", help="Address to serve both on; another than loopback shows it to others.")
+        str,
+        typer.Option(metavar="ADDRESS", help="Address to serve both on; other machines see it unless it is loopback."),
     ] = LOOPBACK,
     patience: Annotated[
-        float, typer.Option(min=0.0, metavar="SECONDS", help="How long to wait for the server and the task.")
+        float, typer.Option(min=0.0, metavar="SECONDS", help="Longest wait for the server and the task.")
     ] = 60.0,
     connect: Connect = None,
     timeout: Timeout = 2.0,
@@ -67,11 +68,11 @@ def watch(
 ) -> None:
     """Watch a task learn, live: robots in 3D, learning curves, outcomes, workers.
 
-    It only looks: starting, stopping or losing it changes nothing for the server and its workers, and it can be started
-    at any time. End it with Ctrl-C.
+    It only reads: it can be started and stopped at any time and changes nothing for the server and its workers. End it
+    with Ctrl-C.
 
-    With --replay it shows a run from its data directory, beside a server that uses it if need be: all but what only
-    workers publish, poses and paths above all. With --save and no --web or --native it then writes the file and ends.
+    With --replay it shows a run from its data directory, also while a server uses that: all but the poses, paths and
+    durations that only workers publish. With --save and without --web or --native it then writes the file and ends.
 
     Example: crkr watch table-tennis --save run.rrd
     """
@@ -81,16 +82,16 @@ def watch(
     if terminal and (idle := [option for option, value in served.items() if value is not None]):
         raise typer.BadParameter(f"--terminal records and serves nothing; leave out {', '.join(idle)}")
     configure_logging(log_level)
-    target = None if save is None else _Target(save, overwrite=overwrite)
+    target = None if save is None else _RecordingFile(save, overwrite=overwrite)
     with ExitStack() as stack:
-        stop = stack.enter_context(StopRequest())
-        session: LiveSession | ReplaySession
+        stop = stack.enter_context(StopRequest(second_ends=True))
+        session: LiveSession | StoredSession
         if replay is None:
             client = stack.enter_context(Client(connect, timeout_s=timeout, zenoh_config=zenoh_config))
             session = LiveSession(client, task, patience, stop, _note)
         else:
             _refuse_given(context, ("connect", "timeout", "zenoh_config", "patience"))
-            session = stack.enter_context(closing(ReplaySession(replay, task, stop)))
+            session = stack.enter_context(closing(StoredSession(replay, task, stop)))
         if native:
             require_display()
         if terminal:
@@ -98,22 +99,22 @@ def watch(
         elif session.replayed and target is not None and not (web or native):
             complete = _in_file(session, target)
         else:
-            complete = _in_rerun(session, _Places.choose(bind, port, web_port), native, target)
+            complete = _in_rerun(session, _Addresses.choose(bind, port, web_port), native, target)
     if not complete:
-        where = "" if target is None else f"; what there is of it is in {target.place}"
+        where = "" if target is None else f"; the part that was written is in {target.growing}"
         _note(f"error: the recording could not be completed in time; its end may be missing{where}")
-        os._exit(1)  # an ordinary exit would wait for the same writer without end
+        os._exit(1)  # an ordinary exit waits for the same writer, without end
 
 
 def _refuse_given(context: typer.Context, names: Sequence[str]) -> None:
-    """Raises `typer.BadParameter` for options of a server where none is asked."""
+    """Raise `typer.BadParameter` for options of a server that is not asked."""
     for name in names:
         source = context.get_parameter_source(name)
         if source is not None and source.name == "COMMANDLINE":
             raise typer.BadParameter(f"--replay asks no server; leave out --{name.replace('_', '-')}")
 
 
-def _in_terminal(session: Session) -> bool:
+def _in_terminal(session: LiveSession | StoredSession) -> bool:
     from crkr.dashboard.terminal import TerminalDisplay
 
     with TerminalDisplay(stdout, session.task, replayed=session.replayed) as display:
@@ -121,11 +122,11 @@ def _in_terminal(session: Session) -> bool:
     return True
 
 
-def _in_file(session: Session, target: _Target) -> bool:
-    """Returns whether the recording was completed in time."""
+def _in_file(session: LiveSession | StoredSession, target: _RecordingFile) -> bool:
+    """Record a run to a file; returns whether the recording was completed in time."""
     from crkr.dashboard.rerun_view import Recording, RerunDisplay
 
-    recording, failed = Recording(None, target.place), True
+    recording, failed = Recording(None, target.growing), True
     try:
         display = RerunDisplay(recording, session.task, replayed=session.replayed)
         display.finish(session.show(display, PICTURES_S))
@@ -135,45 +136,49 @@ def _in_file(session: Session, target: _Target) -> bool:
     return complete
 
 
-def _in_rerun(session: LiveSession | ReplaySession, places: _Places, native: bool, target: _Target | None) -> bool:
-    """Returns whether the recording was completed in time."""
+def _in_rerun(
+    session: LiveSession | StoredSession, addresses: _Addresses, native: bool, target: _RecordingFile | None
+) -> bool:
+    """Record a run to a file; returns whether the recording was completed in time."""
     from crkr.dashboard.rerun_view import Recording, RerunDisplay
 
-    recording = Recording((places.bind, places.stream), None if target is None else target.place)
+    recording = Recording((addresses.bind, addresses.stream), None if target is None else target.growing)
     failed = True
     try:
         # Before any viewer: it sends the layout first.
         display = RerunDisplay(recording, session.task, replayed=session.replayed)
-        with _viewer(places, native) as viewer:
+        with _viewer(addresses, native) as viewer:
             display.finish(session.show(display, PICTURES_S, lambda: viewer.is_running))
-            if isinstance(session, ReplaySession):
+            if isinstance(session, StoredSession):
                 _note("all of it is shown; Ctrl-C ends this")
-                session.stay(lambda: viewer.is_running)
+                session.wait(lambda: viewer.is_running)
             if not (native or session.stop or viewer.is_running):
-                raise Unavailable(f"the viewer's page is gone: {viewer.complaint()}")
+                raise Unavailable(f"the viewer's page is gone: {viewer.last_line()}")
         failed = False
     finally:
         complete = _close(recording, session, target, failed)
     return complete
 
 
-def _close(recording: Recording, session: Session, target: _Target | None, failed: bool) -> bool:
+def _close(
+    recording: Recording, session: LiveSession | StoredSession, target: _RecordingFile | None, failed: bool
+) -> bool:
     complete = recording.close(CLOSE_REPLAY_S if session.replayed and not session.stop else CLOSE_S)
     if target is None:
         return complete
     if not session.begun:
-        target.drop()
+        target.remove()
     elif complete:
-        _note(f"recording: {target.place if failed else target.settle()}")
+        _note(f"recording: {target.growing if failed else target.complete()}")
     return complete
 
 
 @final
-class _Target:
-    """The file of --save: a new one grows under its name, and one in place of another beside that until it is complete.
+class _RecordingFile:
+    """The file of --save. A new one is written under its name; a replacement beside the old one until it is complete.
 
     Attributes:
-        place: Where it grows.
+        growing: Path of the file while it is written.
 
     Raises:
         Invalid: As `check_output`.
@@ -182,40 +187,40 @@ class _Target:
     def __init__(self, path: Path, *, overwrite: bool) -> None:
         check_output(path, overwrite=overwrite)
         self._path = path
-        self.place: Final = beside(path) if path.exists() else path
+        self.growing: Final = beside(path) if path.exists() else path
 
-    def settle(self) -> Path:
-        """Gives the complete recording its name."""
-        if self.place != self._path:
-            self.place.replace(self._path)
+    def complete(self) -> Path:
+        """Give the complete recording its name, and return that."""
+        if self.growing != self._path:
+            self.growing.replace(self._path)
         return self._path
 
-    def drop(self) -> None:
-        """Removes a recording of nothing."""
-        self.place.unlink(missing_ok=True)
+    def remove(self) -> None:
+        """Remove a recording of nothing."""
+        self.growing.unlink(missing_ok=True)
 
 
-def _viewer(places: _Places, native: bool) -> Viewer:
-    stream = stream_address(places.host, places.stream)
+def _viewer(addresses: _Addresses, native: bool) -> Viewer:
+    stream = stream_address(addresses.host, addresses.stream)
     if native:
-        viewer = Viewer.native(stream, places.page)
-        _note("viewer: a window of its own; closing it ends this")
+        viewer = Viewer.native(stream, addresses.page)
+        _note("viewer: opened in a window; close it to end this command")
         return viewer
-    viewer = Viewer.web(places.bind, places.host, places.page, stream)
-    _note(f"viewer: {page_address(places.host, places.page, places.stream)}")
+    viewer = Viewer.web(addresses.bind, addresses.host, addresses.page, stream)
+    _note(f"viewer: {page_address(addresses.host, addresses.page, addresses.stream)}")
     return viewer
 
 
 @final
 @dataclass(frozen=True, slots=True)
-class _Places:
-    """Where recording and page are served.
+class _Addresses:
+    """Addresses of the recording and the page.
 
     Attributes:
         bind: Address to listen on.
-        host: How a browser on this machine calls it.
+        host: The same address as a browser on this machine sees it.
         stream: Port of the recording.
-        page: Port of the page; with a window, the one that the window insists on.
+        page: Port of the page, or of the window.
     """
 
     bind: str
@@ -224,8 +229,8 @@ class _Places:
     page: int
 
     @classmethod
-    def choose(cls, bind: str, port: int | None, web_port: int | None) -> _Places:
-        """Finds free ports; raises `Invalid` for a given one that is taken, `typer.BadParameter` for no address."""
+    def choose(cls, bind: str, port: int | None, web_port: int | None) -> _Addresses:
+        """Find free ports; raises `Invalid` for a given port that is taken, `typer.BadParameter` for a bad address."""
         try:
             unspecified = ip_address(bind).is_unspecified
         except ValueError as error:

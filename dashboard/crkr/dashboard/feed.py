@@ -1,8 +1,8 @@
-"""Joins what the log holds with what the workers publish, and tells a view.
+"""The log and the workers' publications, joined and passed to a display.
 
-The log is the truth about trials: every one is told once and in order, also those from before the display was started,
-and a lost publication or a restarted server costs no point of a curve. Publications add what the log does not hold:
-poses, widths, durations. A picture waits until its trial was read from the log, half a second as a rule.
+The log is the truth about trials. A view gets each trial once and in order, also those from before the display started;
+lost publications and restarts of the server cost no point of a curve. Publications add what the log does not hold:
+poses, widths, durations. A picture waits until its trial is read from the log, usually half a second.
 """
 
 from __future__ import annotations
@@ -12,26 +12,58 @@ import math
 from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, final
+from typing import Any, Final, Protocol, final
 
-from crkr.client.network.subscription import Subscription
-from crkr.dashboard.poller import News
+from crkr.client import Subscription
+from crkr.dashboard.poller import Update
 from crkr.dashboard.progress import EpochResult, Progress, Row
 from crkr.dashboard.telemetry import Telemetry
-from crkr.dashboard.view import View
 from crkr.protocol import CrkrError, StoredTrial, Unavailable
 
-__all__ = ["Feed"]
+__all__ = ["NOT_STORED", "Feed", "View"]
 
 _logger = logging.getLogger(__name__)
 MAX_WAITING: Final = 512
 MAX_REMEMBERED: Final = 4096
+NOT_STORED: Final = "Replayed from the log, which has no poses, paths, widths or durations: workers only publish them."
+
+
+class View(Protocol):
+    """A display. It is called from one thread and must not wait."""
+
+    def task(self, description: str) -> None:
+        """The task's description, "" without one; called first."""
+        ...
+
+    def trials(self, rows: Sequence[Row], progress: Progress) -> None:
+        """New trials of the log, in order."""
+        ...
+
+    def picture(self, row: Row, telemetry: Telemetry) -> None:
+        """What a worker published about one of these trials."""
+        ...
+
+    def epoch(self, result: EpochResult, progress: Progress) -> None:
+        """An evaluation is complete."""
+        ...
+
+    def status(self, status: Mapping[str, Any], progress: Progress, now: float) -> None:
+        """The server's answer to `status`; `now` is monotonic [s]."""
+        ...
+
+    def say(self, message: str, *, warning: bool = False) -> None:
+        """One line for the user."""
+        ...
+
+    def tick(self, now: float, progress: Progress) -> None:
+        """Time passed; `now` is monotonic [s]."""
+        ...
 
 
 @final
 @dataclass(slots=True)
-class _Told:
-    """A trial of the log: its row, who reported it, and whether a picture of it was shown."""
+class _LoggedTrial:
+    """A trial of the log: its row, its worker, and whether a picture of it was shown."""
 
     row: Row
     worker: str | None
@@ -40,16 +72,16 @@ class _Told:
 
 @final
 class Feed:
-    """Turns news and publications into calls of a view.
+    """Updates and publications, as calls of a view.
 
     Args:
-        view: What to tell.
+        view: The display.
 
     Attributes:
         progress: The run so far.
         skipped: Publications and answers that could not be read or shown.
-        refused: Goals that workers would not try.
-        dropped: Pictures that waited too long for their trial, or are not its first.
+        refused: Goals that workers refused.
+        dropped: Pictures that waited too long for their trial, or are not the first one of it.
     """
 
     def __init__(self, view: View) -> None:
@@ -58,14 +90,14 @@ class Feed:
         self.refused = 0
         self.dropped = 0
         self._view = view
-        self._told: OrderedDict[int, _Told] = OrderedDict()
+        self._logged: OrderedDict[int, _LoggedTrial] = OrderedDict()
         self._waiting: OrderedDict[tuple[int, str], Telemetry] = OrderedDict()  # by log position and worker
         self._lost = False
         self._ahead = False
         self._caught_up = False
 
     def publication(self, topic: str, message: Mapping[str, Any]) -> None:
-        """Takes one publication; one that cannot be read is counted and skipped."""
+        """Add a publication; one that cannot be read is counted and skipped."""
         if topic not in ("trial", "evaluation"):
             return
         if message.get("kind") == "failed" and "seq" not in message:
@@ -84,7 +116,7 @@ class Feed:
             self.dropped += 1
 
     def take(self, subscription: Subscription, patience_s: float) -> bool:
-        """Takes one publication that comes within `patience_s`; False where none did."""
+        """Add the next publication within `patience_s` [s]; False if there is none."""
         received: list[tuple[str, dict[str, Any]] | None] = []
         self._attempt(lambda: received.append(subscription.receive(patience_s)))
         for each in received:
@@ -94,7 +126,7 @@ class Feed:
         return True
 
     def _attempt(self, action: Callable[[], object]) -> None:
-        """Does something with what others sent; whatever that raises is counted and told, and the display goes on."""
+        """Handle a message from elsewhere; an error is counted and shown, and the display goes on."""
         try:
             action()
         except (KeyboardInterrupt, SystemExit, GeneratorExit):
@@ -107,46 +139,46 @@ class Feed:
                 self._view.say(f"skipped {self.skipped} unreadable publications: {reason}", warning=True)
 
     def _note_refusal(self, message: Mapping[str, Any]) -> None:
-        """A goal that a worker would not try; the log has no such trial."""
+        """Count a goal that a worker refused; the log has no trial of it."""
         self.refused += 1
         if self.refused <= 3 or self.refused % 1000 == 0:
             worker = str(message.get("worker"))[:128]
             self._view.say(f"worker {worker} refused a goal that is out of bounds: {self.refused} so far", warning=True)
 
-    def news(self, news: News, now: float) -> None:
-        """Takes what the server answered; `now` is monotonic [s]."""
-        if news.lost is not None:
-            self._note_loss(news)
+    def update(self, update: Update, now: float) -> None:
+        """Add what the server answered; `now` is monotonic [s]."""
+        if update.lost is not None:
+            self._note_loss(update)
             return
         if self._lost:
             self._lost = False
             self._view.say("the server answers again")
-        if news.trials:
-            rows = [self.progress.add(stored, now) for stored in news.trials]
-            self._remember(rows, news.trials)
+        if update.trials:
+            rows = [self.progress.add(stored, now) for stored in update.trials]
+            self._remember(rows, update.trials)
             self._view.trials(rows, self.progress)
-            if not (news.more or self._caught_up):
+            if not (update.more or self._caught_up):
                 self._caught_up = True
                 _logger.info("caught up with %d trials, seq %d", sum(self.progress.kinds.values()), self.progress.seq)
-        if news.status is not None:
-            self._compare(news.status)
-            status = news.status
+        if update.status is not None:
+            self._compare(update.status)
+            status = update.status
             self._attempt(lambda: self._view.status(status, self.progress, now))
 
     def step(self, now: float) -> None:
-        """Passes on what became ready; `now` is monotonic [s]."""
+        """Pass on what is ready; `now` is monotonic [s]."""
         for result in self.progress.finished_epochs(now):
             self._show_epoch(result)
         for key, telemetry in list(self._waiting.items()):
-            told = self._told.get(telemetry.seq)
-            if told is None and telemetry.seq > self.progress.seq:
+            trial = self._logged.get(telemetry.seq)
+            if trial is None and telemetry.seq > self.progress.seq:
                 continue
             del self._waiting[key]
-            if told is None or told.pictured or (telemetry.seq, told.worker) in self._waiting:
+            if trial is None or trial.pictured or (telemetry.seq, trial.worker) in self._waiting:
                 self.dropped += 1  # the picture by the worker that the log names goes before others
                 continue
-            told.pictured = True
-            self._show(told.row, telemetry)
+            trial.pictured = True
+            self._show(trial.row, telemetry)
         self._attempt(lambda: self._view.tick(now, self.progress))
 
     def _show_epoch(self, result: EpochResult) -> None:
@@ -156,22 +188,22 @@ class Feed:
         self._attempt(lambda: self._view.picture(row, telemetry))
 
     def finish(self) -> None:
-        """Passes on evaluations that were still waiting for more trials: none will come."""
+        """Pass on the evaluations that wait for more trials: none will come."""
         for result in self.progress.finished_epochs(math.inf):
             self._show_epoch(result)
 
     def _remember(self, rows: Sequence[Row], trials: Sequence[StoredTrial]) -> None:
         for row, stored in list(zip(rows, trials, strict=True))[-MAX_REMEMBERED:]:
-            self._told[row.seq] = _Told(row, stored.trial.worker)
-        while len(self._told) > MAX_REMEMBERED:
-            self._told.popitem(last=False)
+            self._logged[row.seq] = _LoggedTrial(row, stored.trial.worker)
+        while len(self._logged) > MAX_REMEMBERED:
+            self._logged.popitem(last=False)
 
-    def _note_loss(self, news: News) -> None:
-        if self._lost or news.lost is None:
+    def _note_loss(self, update: Update) -> None:
+        if self._lost or update.lost is None:
             return
         self._lost = True
-        quiet = isinstance(news.lost, Unavailable)
-        reason = "the server does not answer; waiting for it" if quiet else f"{news.lost.code}: {news.lost.message}"
+        quiet = isinstance(update.lost, Unavailable)
+        reason = "the server does not answer; waiting for it" if quiet else f"{update.lost.code}: {update.lost.message}"
         self._view.say(reason, warning=True)
 
     def _compare(self, status: Mapping[str, Any]) -> None:

@@ -1,4 +1,4 @@
-"""Asks the server for new trials and its status, in a thread of its own so that no picture waits for an answer."""
+"""A thread that asks the server for new trials and its status, so that no picture waits for an answer."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from typing import Any, Final, final
 from crkr.client import Task
 from crkr.protocol import CrkrError, Internal, StoredTrial
 
-__all__ = ["News", "Poller"]
+__all__ = ["Poller", "Update"]
 
 SAMPLES_EVERY_S: Final = 0.5
 STATUS_EVERY_S: Final = 1.0
 PAGE: Final = 1000
-ANSWER_S: Final = 0.2  # an answer on its way may take so long at the end
+ANSWER_S: Final = 0.2  # longest wait for an answer at the end
 INTERRUPTED_S: Final = 1.0
 
 
 @final
 @dataclass(frozen=True, slots=True)
-class News:
-    """What one question brought.
+class Update:
+    """The answer to one question.
 
     Attributes:
         trials: New trials in the order of seq.
-        more: Whether the log has more than these.
+        more: Whether the log has more trials.
         status: The answer to `status`, or None.
         lost: Why the server did not answer, or None.
     """
@@ -41,11 +41,11 @@ class News:
 
 @final
 class Poller:
-    """Pages through the log from its beginning and then keeps up with it; use as a context manager.
+    """Read the log page by page from its beginning, then follow it; a context manager.
 
     Args:
-        task: What to watch.
-        interrupt: Ends a question that is being asked; called at the end if one is.
+        task: The task.
+        interrupt: Ends an open question; called at the end if there is one.
     """
 
     def __init__(self, task: Task, interrupt: Callable[[], object]) -> None:
@@ -53,7 +53,7 @@ class Poller:
         self._interrupt = interrupt
         self._after = 0
         self._stop = threading.Event()
-        self._news: queue.Queue[News] = queue.Queue(maxsize=8)
+        self._updates: queue.Queue[Update] = queue.Queue(maxsize=8)
         self._thread = threading.Thread(target=self._run, name="crkr-poller", daemon=True)
 
     def __enter__(self) -> Poller:
@@ -67,12 +67,12 @@ class Poller:
             self._interrupt()
             self._thread.join(timeout=INTERRUPTED_S)
 
-    def take(self) -> list[News]:
-        """What came since the last call; never waits."""
+    def take(self) -> list[Update]:
+        """The updates since the last call; never waits."""
         taken = []
         try:
             while True:
-                taken.append(self._news.get_nowait())
+                taken.append(self._updates.get_nowait())
         except queue.Empty:
             return taken
 
@@ -82,15 +82,15 @@ class Poller:
             try:
                 more = self._ask_trials()
                 if time.monotonic() >= next_status:
-                    self._put(News(status=self._task.status()))
+                    self._put(Update(status=self._task.status()))
                     next_status = time.monotonic() + STATUS_EVERY_S
             except CrkrError as error:
                 if self._stop.is_set():
                     return
-                self._put(News(lost=error))
+                self._put(Update(lost=error))
                 more = False
             except BaseException as error:  # whatever an answer holds, the thread asks again
-                self._put(News(lost=Internal(f"an answer cannot be read: {type(error).__name__}: {error!s:.200}")))
+                self._put(Update(lost=Internal(f"an answer cannot be read: {type(error).__name__}: {error!s:.200}")))
                 more = False
             if not more:
                 self._stop.wait(SAMPLES_EVERY_S)
@@ -99,14 +99,14 @@ class Poller:
         trials, following = self._task.samples(after=self._after, limit=PAGE)
         if trials:
             self._after = trials[-1].seq
-            self._put(News(trials=tuple(trials), more=following is not None))
+            self._put(Update(trials=tuple(trials), more=following is not None))
         return following is not None
 
-    def _put(self, news: News) -> None:
-        """Waits while the display is behind, so that a long log is not held in memory."""
+    def _put(self, update: Update) -> None:
+        """Add an update; wait while the display is behind, so that memory does not hold a long log."""
         while not self._stop.is_set():
             try:
-                self._news.put(news, timeout=0.2)
+                self._updates.put(update, timeout=0.2)
             except queue.Full:
                 continue
             return

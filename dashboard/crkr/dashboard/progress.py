@@ -4,21 +4,20 @@ from __future__ import annotations
 
 from array import array
 from bisect import bisect_right
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final, final
 
 from crkr.client.tally import Tally, stated_epoch, success_by_criterion
-from crkr.dashboard.window import Window
 from crkr.protocol import StoredTrial
 
-__all__ = ["WINDOW", "EpochResult", "Progress", "Row"]
+__all__ = ["WINDOW", "EpochResult", "Progress", "Row", "Window"]
 
 WINDOW: Final = 50  # training trials in a running mean: the paper's epoch
-QUIET_S: Final = 3.0  # an evaluation that gets no more balls for so long is over
-MAX_EPOCHS: Final = 2000  # kept; the first that are over are forgotten
-MAX_NAMES: Final = 24  # reasons, criteria and workers told apart; what comes beyond is "other"
+QUIET_S: Final = 3.0  # without a new ball, after which an evaluation is over
+MAX_EPOCHS: Final = 2000  # kept; the oldest that are over are dropped
+MAX_NAMES: Final = 24  # reasons, criteria and workers; later ones count as "other"
 
 
 @final
@@ -31,10 +30,10 @@ class Row:
         trial: Training trials (kinds trial and failed) up to and including this one.
         epoch: The epoch it belongs to; for an epoch's evaluation the one that it closes.
         kind: The protocol's kind.
-        worker: Who reported it, "" if nobody said.
+        worker: The worker that reported it, "" if unknown.
         cost: In [0, 1], or None.
         success: What the skill chose to learn from.
-        reason: Why it ended as it did, in the skill's words.
+        reason: How it ended, in the skill's words.
         outcomes: Success by criterion, e.g. {"paper": True, "strict": False}.
         mean_cost: Training trials only: mean cost of the last 50 of them, or None.
         rates: Training trials only: success rate of the last 50 of them by criterion.
@@ -65,7 +64,7 @@ class EpochResult:
         trial: Training trials that the model had learned from which played the first ball.
         tally: Evaluation trials so far.
         last_seen: When the last one was counted, monotonic [s].
-        closed: Whether it was handed out as finished.
+        closed: Whether it was returned as finished.
     """
 
     epoch: int
@@ -81,8 +80,49 @@ class EpochResult:
 
 
 @final
+class Window:
+    """Costs, outcomes and reasons of the newest `size` trials; the time to add one does not grow.
+
+    Attributes:
+        reasons: How often each reason occurs.
+    """
+
+    def __init__(self, size: int) -> None:
+        self._entries: deque[tuple[float | None, Mapping[str, bool], str]] = deque()
+        self._size = size
+        self._tally = Tally()
+        self.reasons: Counter[str] = Counter()
+
+    def add(self, cost: float | None, outcomes: Mapping[str, bool], reason: str) -> None:
+        """Add a trial, and remove the oldest from a full window."""
+        if len(self._entries) == self._size:
+            _, met, gone = self._entries.popleft()
+            self._tally.remove(met)
+            self.reasons.subtract([gone])
+        self._entries.append((cost, outcomes, reason))
+        self._tally.add(outcomes)
+        self.reasons.update([reason])
+
+    def __len__(self) -> int:
+        return len(self._entries)
+
+    def rate(self, criterion: str) -> float | None:
+        """Success rate over the trials judged by a criterion; None without any."""
+        return self._tally.rate(criterion) if self._tally.judged[criterion] else None
+
+    def share(self, reason: str) -> float:
+        """Share of trials that ended for a reason."""
+        return self.reasons[reason] / len(self._entries) if self._entries else 0.0
+
+    def mean_cost(self) -> float | None:
+        """Mean cost of the trials that have one; None without any."""
+        costs = [cost for cost, _, _ in self._entries if cost is not None]
+        return sum(costs) / len(costs) if costs else None
+
+
+@final
 class Progress:
-    """Counts trials; each must be given once, in the order of seq.
+    """Counts of a run; each trial is added once, in the order of seq.
 
     Attributes:
         seq: Log position of the newest.
@@ -109,7 +149,7 @@ class Progress:
         self._training = array("q")  # log positions of the training trials: 8 bytes each, also after a million
 
     def add(self, stored: StoredTrial, now: float) -> Row:
-        """Counts one trial.
+        """Count one trial.
 
         Args:
             stored: The trial; its seq is above all before.
@@ -150,13 +190,13 @@ class Progress:
         )
 
     def finished_epochs(self, now: float) -> list[EpochResult]:
-        """Evaluations that became complete: as many balls as the one before, or no new ball for a while."""
+        """Evaluations that are newly complete: as many balls as the one before, or no new ball for some seconds."""
         return self._close_epochs(lambda result: now - result.last_seen > QUIET_S)
 
     def followed_epochs(self) -> list[EpochResult]:
-        """The same for a log that is read all at once: as many balls as the one before, or two more have begun.
+        """The same for a log that is read at once: as many balls as the one before, or two later ones have begun.
 
-        Several workers play them, and begin the next evaluation's while the last balls of one are in play.
+        Several workers play them, and begin the next evaluation while the last balls of one are in play.
         """
         newest = sorted(self.epochs)[-2:]
         return self._close_epochs(lambda result: result.epoch < newest[0])
@@ -172,7 +212,7 @@ class Progress:
         return finished
 
     def _known_to(self, model_version: int | None) -> int:
-        """Training trials up to a model's log position; all so far if nobody said which model it was."""
+        """Training trials up to a model's log position; all so far if the position is unknown."""
         return self.trials if model_version is None else bisect_right(self._training, model_version)
 
     def _evaluate(self, epoch: int, trial: int, outcomes: Mapping[str, bool], now: float) -> None:

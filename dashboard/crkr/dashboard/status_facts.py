@@ -1,4 +1,4 @@
-"""What the tables of every display show, read leniently from the server's status: a server may add or omit fields."""
+"""What the tables of every display show. The server's status is read leniently: fields may be added or absent."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ class WorkerFacts:
     Attributes:
         name: Its id.
         state: As the server calls it, "alive" while its liveliness token stands; "unknown" where only the log knows it.
-        trials: How many trials it reported, of all kinds.
-        quiet_s: Since when nothing was heard of it [s], or None.
+        trials: Trials that it reported, of all kinds.
+        quiet_s: Time since its last message [s], or None.
     """
 
     name: str
@@ -32,12 +32,12 @@ class WorkerFacts:
 
 
 def worker_rows(status: Mapping[str, Any], progress: Progress, status_age_s: float) -> list[WorkerFacts]:
-    """Workers that the server knows, the living first, then those that only the log knows.
+    """The server's workers, those alive first, then those that only the log knows.
 
     Args:
-        status: The server's answer; it tells ages by its own monotonic clock.
+        status: The server's answer; its ages are by its own monotonic clock.
         progress: The run so far.
-        status_age_s: How long ago the server answered so [s].
+        status_age_s: Age of that answer [s].
     """
     listed = status.get("workers")
     entries = [entry for entry in listed if isinstance(entry, Mapping)] if isinstance(listed, list) else []
@@ -61,7 +61,7 @@ def _state(word: object) -> str:
 
 
 def reason_rows(progress: Progress) -> list[tuple[str, int, float, float]]:
-    """How training trials ended, the most frequent lately first: (reason, count, share, share of the last 50)."""
+    """(reason, count, share, share of the last 50) of training trials, the most frequent of the last 50 first."""
     total = max(sum(progress.reasons.values()), 1)
     rows = [(reason, count, count / total, progress.window.share(reason)) for reason, count in progress.reasons.items()]
     return sorted(rows, key=lambda row: (-row[3], -row[1], row[0]))
@@ -87,5 +87,5 @@ def speed(counts: Sequence[tuple[float, int]]) -> float:
 
 
 def percent(share: float | None) -> str:
-    """A share for people, "-" where there is none."""
+    """A share as text, "-" for None."""
     return "-" if share is None else f"{100 * share:.0f} %"

@@ -16,7 +16,7 @@ from crkr.protocol.trial import KINDS
 
 __all__ = ["Telemetry"]
 
-# Far more than 64 kB can hold honestly; they keep a hostile message from drawing an endless or astronomical scene.
+# More than an honest message of 64 kB holds. A hostile one must not draw an endless or astronomical scene.
 MAX_GEOMS: Final = 1000
 MAX_NAMES: Final = 256
 MAX_DURATION_S: Final = 600.0
@@ -30,7 +30,7 @@ class Telemetry:
 
     Attributes:
         seq: The trial's log position.
-        worker: Who executed it.
+        worker: The worker that executed it.
         kind: "trial", "demonstration", "evaluation" or "failed".
         success: What the skill chose to learn from.
         sigma_mean: Mean over the goal's dimensions of sigma / scale, or None.
@@ -52,10 +52,10 @@ class Telemetry:
 
     @classmethod
     def from_wire(cls, message: Mapping[str, Any]) -> Telemetry:
-        """Reads a message.
+        """Read a message.
 
         Raises:
-            Invalid: Something in it cannot be drawn.
+            Invalid: A field cannot be drawn.
         """
         trace, scene = message.get("trace"), message.get("scene")
         return cls(
@@ -72,7 +72,7 @@ class Telemetry:
 
 
 def _optional_number(value: object, name: str) -> float | None:
-    """A number; NaN and null mean that there is none."""
+    """A number, or None for NaN and null."""
     if value is None or (isinstance(value, float) and math.isnan(value)):
         return None
     return number(value, name)

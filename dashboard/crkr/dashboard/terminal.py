@@ -1,4 +1,4 @@
-"""The display for a terminal: tables that renew themselves, or a line now and then where nobody watches."""
+"""The display for a terminal: tables that are redrawn, or a line every few seconds where the output is no terminal."""
 
 from __future__ import annotations
 
@@ -34,23 +34,23 @@ def sparkline(shares: Sequence[float], width: int = 40) -> str:
 
 
 def _text(line: str, style: str = "") -> Text:
-    """A line that wraps where the terminal is narrow, whatever the console does with plain lines."""
+    """A line that wraps on a narrow terminal."""
     return Text(printable(line), style=style, no_wrap=False, overflow="fold")
 
 
 def _table(*columns: str) -> Table:
-    """A table whose cells take more lines where the terminal is narrow."""
+    """A table whose cells take more lines on a narrow terminal."""
     return Table(*(Column(name, overflow="fold") for name in columns))
 
 
 @final
 class TerminalDisplay:
-    """Shows a run as text; implements `View`, to be used as a context manager.
+    """A run as text; implements `View`, and is a context manager.
 
     Args:
         console: Where to.
         task: The task's name.
-        replayed: The run is over: only `finish` shows anything, the tables, on a terminal or not.
+        replayed: The run is over: only `finish` shows anything, which is the tables.
     """
 
     def __init__(self, console: Console, task: str, *, replayed: bool = False) -> None:
@@ -79,35 +79,35 @@ class TerminalDisplay:
             self._live.stop()
 
     def task(self, description: str) -> None:
-        """Keeps the description for the tables' head."""
+        """Keep the description for the head of the tables."""
         self._description = description
 
     def trials(self, rows: Sequence[Row], progress: Progress) -> None:
-        """Counted already."""
+        """Show nothing: `progress` has counted them."""
 
     def picture(self, row: Row, telemetry: Telemetry) -> None:
-        """A terminal has no use for poses."""
+        """Show nothing: a terminal has no use for poses."""
 
     def epoch(self, result: EpochResult, progress: Progress) -> None:
-        """Says how an evaluation went."""
-        del progress  # the result tells by itself
+        """Print the success rates of an evaluation."""
+        del progress  # Unused.
         rates = ", ".join(f"{name} {rate:.2f}" for name, rate in result.tally.rates().items())
         self.say(f"epoch {result.epoch}: {rates} of {result.balls} evaluation trials")
 
     def status(self, status: Mapping[str, Any], progress: Progress, now: float) -> None:
-        """Keeps the status for the next refresh."""
-        del progress  # every refresh is given it
+        """Keep the status for the next refresh."""
+        del progress  # Unused.
         self._status, self._answered = status, now
 
     def say(self, message: str, *, warning: bool = False) -> None:
-        """A line beneath the tables, or on its own."""
+        """Print a line, beneath the tables if they are shown."""
         line = printable(f"warning: {message}" if warning else message)
         self._messages.append(line)
         if self._live is None and not self._replayed:
             self._console.print(line)
 
     def tick(self, now: float, progress: Progress) -> None:
-        """Renews the tables, or prints a line when there is something new."""
+        """Redraw the tables, or print a line when there is something new."""
         if now < self._next:
             return
         self._speed.append((now, progress.trials))
@@ -122,7 +122,7 @@ class TerminalDisplay:
             self._console.print(self._line(progress))
 
     def finish(self, progress: Progress) -> None:
-        """Shows the end of the run."""
+        """Show the end of the run."""
         if self._replayed:
             self._console.print(self.page(progress, self._answered), soft_wrap=False)
             return

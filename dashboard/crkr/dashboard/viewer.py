@@ -1,4 +1,4 @@
-"""Rerun's viewer as a child process: its web page on loopback, or its window."""
+"""Rerun's viewer as a child process, its web page or its window, and the ports for them."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import json
 import logging
 import os
 import signal
+import socket
 import subprocess
 import sys
 import tempfile
@@ -20,14 +21,15 @@ from urllib.parse import quote
 
 from crkr.protocol import Invalid, Unavailable
 
-__all__ = ["Viewer", "page_address", "require_display", "stream_address"]
+__all__ = ["Viewer", "choose_port", "page_address", "require_display", "stream_address"]
 
 _logger = logging.getLogger(__name__)
 SERVING: Final = "Hosting a web-viewer at"
 READY_S: Final = 20.0
 ENDS_S: Final = 1.0
+TRIED: Final = 100  # ports
 
-# Asks Linux to end the child should this process be killed, and becomes the child: no viewer is left behind.
+# Linux ends the child when this process is killed: no viewer is left behind.
 _TIED: Final = (
     "import ctypes, os, sys\n"
     "if sys.platform == 'linux': ctypes.CDLL(None).prctl(1, 15)\n"
@@ -36,27 +38,59 @@ _TIED: Final = (
 
 
 def stream_address(host: str, port: int) -> str:
-    """Where a viewer finds the recording."""
+    """Address of the recording, for a viewer."""
     return f"rerun+http://{host}:{port}/proxy"
 
 
 def page_address(host: str, web_port: int, port: int) -> str:
-    """What to open in a browser."""
+    """Address of the viewer's page, for a browser."""
     stream = quote(stream_address(host, port), safe="")
     return f"http://{host}:{web_port}/?url={stream}&theme=dark&hide_welcome_screen=1&persist=0"
 
 
+def choose_port(host: str, given: int | None, default: int) -> int:
+    """A port that can be listened on.
+
+    Args:
+        host: Address to listen on.
+        given: The port that was asked for, or None.
+        default: The first port to try where none was asked for.
+
+    Raises:
+        Invalid: The given port is taken, or a hundred in a row are.
+    """
+    if given is not None:
+        if not _is_free(host, given):
+            raise Invalid(f"port {given} on {host} is taken; choose another, or none and a free one is found")
+        return given
+    for port in range(default, default + TRIED):
+        if _is_free(host, port):
+            return port
+    raise Invalid(f"no free port from {default} to {default + TRIED - 1} on {host}")
+
+
+def _is_free(host: str, port: int) -> bool:
+    with socket.socket() as probe:
+        # As servers do: a connection of an earlier run may linger on the port.
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((host, port))
+        except OSError:
+            return False
+    return True
+
+
 def require_display() -> None:
-    """Raises `Invalid` where no window can be opened."""
+    """Raise `Invalid` where no window can be opened."""
     if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise Invalid("--native needs a display, and there is none here; use --web or --terminal")
 
 
 @final
 class Viewer:
-    """A child process that is gone when this context ends.
+    """Rerun's viewer as a child process; a context manager that ends it.
 
-    Its usage statistics are switched off for it; the page that it serves decides for itself in the browser.
+    Its usage statistics are off; the page that it serves has its own setting, in the browser.
     """
 
     def __init__(self, arguments: list[str]) -> None:
@@ -69,21 +103,21 @@ class Viewer:
                 stdout=log,
                 stderr=log,
                 env=_environment(Path(self._home.name)),
-                start_new_session=True,  # Ctrl-C is ours: the child ends when the recording is complete
+                start_new_session=True,  # Ctrl-C ends the command first, and the child when the recording is complete
             )
 
     @classmethod
     def web(cls, bind: str, host: str, web_port: int, stream: str) -> Viewer:
-        """Serves the viewer's page; returns when it answers.
+        """Serve the viewer's page; returns when it answers.
 
         Args:
             bind: Address to serve it on.
-            host: The same as a browser on this machine calls it.
+            host: The same address as a browser on this machine sees it.
             web_port: Port to serve it on.
-            stream: Where the recording is.
+            stream: Address of the recording.
 
         Raises:
-            Unavailable: It does not answer.
+            Unavailable: The page does not answer.
         """
         viewer = cls(["--serve-web", "--bind", bind, "--web-viewer-port", str(web_port), stream])
         try:
@@ -95,12 +129,12 @@ class Viewer:
 
     @classmethod
     def native(cls, stream: str, own_port: int) -> Viewer:
-        """Opens the viewer's window; `own_port` is one that it insists on listening on."""
+        """Open the viewer's window; it listens on `own_port` in any case."""
         return cls(["--bind", "127.0.0.1", "--port", str(own_port), "--connect", stream])
 
     @property
     def pid(self) -> int:
-        """The process."""
+        """Id of the process."""
         return self._process.pid
 
     @property
@@ -108,13 +142,13 @@ class Viewer:
         """Whether it has not ended."""
         return self._process.poll() is None
 
-    def complaint(self) -> str:
+    def last_line(self) -> str:
         """The last line of its log."""
         lines = self._log.read_text(errors="replace", encoding="utf-8").strip().splitlines()
         return lines[-1] if lines else "no output"
 
     def close(self) -> None:
-        """Ends it."""
+        """End the viewer."""
         if self.is_running:
             self._process.send_signal(signal.SIGTERM)
             try:
@@ -134,21 +168,21 @@ class Viewer:
         self.close()
 
     def _wait_for(self, address: str) -> None:
-        """Waits until it says that it serves and does: another page may answer at a port that it cannot have."""
+        """Wait until the viewer logs that it serves, and answers: another page may answer on a port that is taken."""
         deadline = time.monotonic() + READY_S
         while time.monotonic() < deadline:
             if not self.is_running:
-                raise Unavailable(f"the viewer ended at once: {self.complaint()}")
+                raise Unavailable(f"the viewer ended at once: {self.last_line()}")
             if SERVING in self._log.read_text(errors="replace", encoding="utf-8") and _answers(address):
                 return
             try:
                 self._process.wait(0.05)
             except subprocess.TimeoutExpired:
                 continue
-        raise Unavailable(f"the viewer's page at {address} did not answer within {READY_S:.0f} s: {self.complaint()}")
+        raise Unavailable(f"the viewer's page at {address} did not answer within {READY_S:.0f} s: {self.last_line()}")
 
 
-_fetch: Final = urllib.request.build_opener(urllib.request.ProxyHandler({})).open  # a proxy does not know this machine
+_fetch: Final = urllib.request.build_opener(urllib.request.ProxyHandler({})).open  # never by a proxy
 
 
 def _answers(address: str) -> bool:
@@ -160,7 +194,7 @@ def _answers(address: str) -> bool:
 
 
 def _binary() -> str:
-    """The viewer itself: the `rerun` script is a wrapper, and ending that would leave the viewer running.
+    """Path of the viewer; the `rerun` script is a wrapper, whose end would leave the viewer running.
 
     Raises:
         ModuleNotFoundError: Rerun is not installed.
@@ -172,7 +206,7 @@ def _binary() -> str:
 
 
 def _environment(home: Path) -> dict[str, str]:
-    """The child's environment: its settings are ours for the time being, with usage statistics off."""
+    """The child's environment, with temporary settings and usage statistics off."""
     settings = home / "rerun" / "analytics.json"
     settings.parent.mkdir()
     settings.write_text(

@@ -91,7 +91,7 @@ def test_a_mistyped_command_is_wrong_usage_with_a_suggestion(entries: list[Entry
         ("rerun", "crkr.dashboard.command", "dashboard"),
         ("scipy", "crkr.server.command", "server"),
         ("scipy", "crkr.client.mirror", "mirror"),
-        ("scipy", "crkr.client.bench.predict", "server"),
+        ("scipy", "crkr.experiments.bench.commands", "experiments"),
         ("sklearn.linear_model", "crkr.experiments.study", "experiments"),
         ("matplotlib", "crkr.experiments.figures.command", "sim"),
     ],

@@ -8,7 +8,7 @@ from rerun.chunk import RrdReader
 
 from crkr.client.tally import wilson_interval
 from crkr.dashboard import Feed
-from crkr.dashboard.poller import News
+from crkr.dashboard.poller import Update
 from crkr.dashboard.rerun_view import Recording, RerunDisplay
 from crkr.dashboard.rerun_view.curves import MAX_PHASES
 from crkr.protocol import StoredTrial
@@ -39,14 +39,14 @@ def tables(recording: Recording, file: Path, read: Read, stored: Make, message: 
         hit = seq % 4 != 0
         return stored(seq, cost=seq / 100, success=hit, info={"reason": "lifted" if hit else "stuck | odd"})
 
-    feed.news(News(trials=tuple(ball(seq, 0, seq > 2) for seq in range(1, 5))), 0.0)
+    feed.update(Update(trials=tuple(ball(seq, 0, seq > 2) for seq in range(1, 5))), 0.0)
     feed.step(0.0)
-    feed.news(News(trials=tuple(trial(seq) for seq in range(5, 13)), status=STATUS), 10.0)
+    feed.update(Update(trials=tuple(trial(seq) for seq in range(5, 13)), status=STATUS), 10.0)
     for seq in range(5, 13):
         feed.publication("trial", message(seq))
     feed.publication("trial", {"seq": 1})
     feed.step(10.0)
-    feed.news(News(trials=tuple(ball(seq, 1, True) for seq in range(13, 17))), 20.0)
+    feed.update(Update(trials=tuple(ball(seq, 1, True) for seq in range(13, 17))), 20.0)
     feed.step(20.0)
     display.finish(feed.progress)
     assert recording.close(5.0)
@@ -106,7 +106,7 @@ def test_pages_show_numbers_and_no_foreign_markup(tables: dict[str, Any]) -> Non
     assert r"| stuck \| odd | 2 | 25 % | 25 % |" in outcomes
 
 
-def test_a_page_explains_the_panels_and_says_what_the_task_says_of_itself(tables: dict[str, Any]) -> None:
+def test_a_page_explains_the_panels_and_has_the_tasks_description(tables: dict[str, Any]) -> None:
     (guide,) = column(tables["/guide"], "TextDocument:text")
     assert guide.startswith(r"**crane \[1\]**: Lift \<loads\>. Cost: how far they swing.")
     assert "0 (best) to 1 (worst)" in guide
@@ -136,7 +136,7 @@ def test_the_layout_is_sent_before_any_data(
 ) -> None:
     feed = Feed(display := RerunDisplay(recording, "crane"))
     now = time.monotonic()
-    feed.news(News(trials=(stored(1),), status=STATUS), now)
+    feed.update(Update(trials=(stored(1),), status=STATUS), now)
     feed.step(now)
     display.finish(feed.progress)
     assert recording.close(5.0)
@@ -150,12 +150,12 @@ def test_the_layout_is_sent_before_any_data(
     assert paths.count("BlueprintActivationCommand") == 1  # another would undo what a viewer's user has changed
 
 
-def test_durations_of_ever_new_names_are_other(
+def test_durations_with_too_many_names_count_as_other(
     recording: Recording, file: Path, read: Read, stored: Make, message: Message
 ) -> None:
     display = RerunDisplay(recording, "crane")
     feed = Feed(display)
-    feed.news(News(trials=tuple(stored(seq) for seq in range(1, 60))), 0.0)
+    feed.update(Update(trials=tuple(stored(seq) for seq in range(1, 60))), 0.0)
     for seq in range(1, 60):
         feed.publication("trial", message(seq, timing={f"step {seq}": 1.0, f"wait {seq}": 2.0}))
     feed.step(0.0)

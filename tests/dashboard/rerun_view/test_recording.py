@@ -27,7 +27,7 @@ def test_what_was_logged_is_in_the_file_when_it_is_closed(
     assert tables["/log"][0].column("trial").to_pylist() == [3]
 
 
-def test_every_run_is_a_recording_of_its_own(tmp_path: Path) -> None:
+def test_every_run_is_a_separate_recording(tmp_path: Path) -> None:
     from rerun.chunk import RrdReader
 
     identities = set()

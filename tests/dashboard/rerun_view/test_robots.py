@@ -7,8 +7,8 @@ import pytest
 
 from crkr.dashboard import Progress, Row, Telemetry
 from crkr.dashboard.rerun_view import Recording
-from crkr.dashboard.rerun_view.colours import FAILURE, SUCCESS
-from crkr.dashboard.rerun_view.robots import ALONE_S, MAX_BODIES, MAX_PATHS, MAX_SCENES, MAX_WORKERS, Stage
+from crkr.dashboard.rerun_view.blueprint import FAILURE, SUCCESS
+from crkr.dashboard.rerun_view.robots import ALONE_S, MAX_BODIES, MAX_PATHS, MAX_SCENES, MAX_WORKERS, Robots
 from crkr.protocol import StoredTrial
 
 Make = Callable[..., StoredTrial]
@@ -19,23 +19,23 @@ Show = Callable[..., None]
 
 @pytest.fixture
 def said() -> list[str]:
-    """What the stage says that it does not show."""
+    """What the robots says that it does not show."""
     return []
 
 
 @pytest.fixture
-def stage(recording: Recording, said: list[str]) -> Stage:
-    return Stage(recording, said.append)
+def robots(recording: Recording, said: list[str]) -> Robots:
+    return Robots(recording, said.append)
 
 
 @pytest.fixture
-def show(stage: Stage, stored: Make, message: Message) -> Show:
-    """Counts trial `seq` and puts what its worker published on the stage."""
+def show(robots: Robots, stored: Make, message: Message) -> Show:
+    """Counts trial `seq` and puts what its worker published on the robots."""
     progress = Progress()
 
     def shown(seq: int, *, kind: str = "trial", success: bool = True, **fields: Any) -> None:
         row: Row = progress.add(stored(seq, kind, success=success), 0.0)
-        stage.picture(row, Telemetry.from_wire(message(seq, kind=kind, success=success, **fields)))
+        robots.picture(row, Telemetry.from_wire(message(seq, kind=kind, success=success, **fields)))
 
     return shown
 
@@ -47,11 +47,11 @@ def values(batches: list[Any], column: str) -> list[Any]:
 
 
 def test_poses_go_out_as_moves_of_named_frames(
-    stage: Stage, show: Show, message: Message, recording: Recording, file: Path, read: Read
+    robots: Robots, show: Show, message: Message, recording: Recording, file: Path, read: Read
 ) -> None:
     show(1)
     for now in (0.0, 0.05, 1.0):
-        stage.tick(now)
+        robots.tick(now)
     assert recording.close(5.0)
     moves = read(file)["/world/crane-1/motion"]
     trace = Telemetry.from_wire(message(1)).trace
@@ -68,25 +68,25 @@ def test_poses_go_out_as_moves_of_named_frames(
     np.testing.assert_allclose(sorted(times), np.linspace(0.0, 0.1, 4) * 1e9, atol=1)  # nanoseconds
 
 
-def test_motion_follows_the_clock(stage: Stage, show: Show, recording: Recording, file: Path, read: Read) -> None:
+def test_motion_follows_the_clock(robots: Robots, show: Show, recording: Recording, file: Path, read: Read) -> None:
     show(1)
-    stage.tick(10.0)
-    stage.tick(10.04)
+    robots.tick(10.0)
+    robots.tick(10.04)
     assert recording.close(5.0)
     batches = read(file)["/world/crane-1/motion"]
     assert sorted(batch.num_rows for batch in batches) == [3, 3]  # the poses at 0 and 1/30 s; the others lie ahead
 
 
 def test_trials_that_come_faster_than_they_play_leave_their_paths(
-    stage: Stage, show: Show, recording: Recording, file: Path, read: Read
+    robots: Robots, show: Show, recording: Recording, file: Path, read: Read
 ) -> None:
     show(1)
-    stage.tick(0.0)
+    robots.tick(0.0)
     show(2, success=False)
     show(3)
-    stage.tick(0.05)
-    stage.tick(5.0)
-    stage.tick(5.1)
+    robots.tick(0.05)
+    robots.tick(5.0)
+    robots.tick(5.1)
     assert recording.close(5.0)
     tables = read(file)
     paths = tables["/world/crane-1/paths/load"]
@@ -96,12 +96,12 @@ def test_trials_that_come_faster_than_they_play_leave_their_paths(
     assert set(values(tables["/world/crane-1/motion"], "trial")) == {1, 3}
 
 
-def test_every_worker_has_a_world_of_its_own_beside_the_others(
-    stage: Stage, show: Show, recording: Recording, file: Path, read: Read
+def test_every_worker_has_a_separate_world(
+    robots: Robots, show: Show, recording: Recording, file: Path, read: Read
 ) -> None:
     for seq, worker in enumerate(["crane-1", "crane-2", "odd / name"], 1):
         show(seq, worker=worker)
-    stage.tick(0.0)
+    robots.tick(0.0)
     assert recording.close(5.0)
     tables = read(file)
     names = ["/world/crane-1", "/world/crane-2", r"/world/odd\ \/\ name"]
@@ -112,7 +112,7 @@ def test_every_worker_has_a_world_of_its_own_beside_the_others(
 
 
 def test_a_scene_that_is_sent_again_is_drawn_once(
-    stage: Stage, show: Show, recording: Recording, file: Path, read: Read
+    robots: Robots, show: Show, recording: Recording, file: Path, read: Read
 ) -> None:
     for seq in range(1, 5):
         show(seq)
@@ -125,32 +125,32 @@ def test_a_scene_that_is_sent_again_is_drawn_once(
 
 
 def test_demonstrations_are_played_where_the_first_worker_learns(
-    stage: Stage, show: Show, recording: Recording, file: Path, read: Read
+    robots: Robots, show: Show, recording: Recording, file: Path, read: Read
 ) -> None:
     show(1, kind="demonstration", worker="teacher")
-    stage.tick(0.0)
+    robots.tick(0.0)
     show(2)
-    stage.tick(1.0)
+    robots.tick(1.0)
     assert recording.close(5.0)
     assert not any(name.startswith("/world/teacher") for name in read(file))
 
 
-def test_demonstrations_alone_are_played_after_a_while(
-    stage: Stage, show: Show, recording: Recording, file: Path, read: Read
+def test_demonstrations_without_trials_are_played_after_some_seconds(
+    robots: Robots, show: Show, recording: Recording, file: Path, read: Read
 ) -> None:
     show(1, kind="demonstration", worker="teacher")
-    stage.tick(0.0)
-    stage.tick(2 * ALONE_S)
+    robots.tick(0.0)
+    robots.tick(2 * ALONE_S)
     assert recording.close(5.0)
     assert "/world/teacher/motion" in read(file)
 
 
-def test_endless_workers_do_not_fill_the_stage(
-    stage: Stage, show: Show, recording: Recording, file: Path, read: Read
+def test_the_number_of_workers_that_are_drawn_is_bounded(
+    robots: Robots, show: Show, recording: Recording, file: Path, read: Read
 ) -> None:
     for seq in range(1, MAX_WORKERS + 10):
         show(seq, worker=f"w{seq}", scene=None)
-    stage.tick(0.0)
+    robots.tick(0.0)
     assert recording.close(5.0)
     assert sum(name.endswith("/motion") for name in read(file)) == MAX_WORKERS
 
@@ -167,7 +167,7 @@ def seen(camera: list[Any], points: np.ndarray[Any, Any]) -> np.ndarray[Any, Any
 
 @pytest.mark.parametrize("count", [1, 3, 9])
 def test_the_camera_has_every_world_in_sight(
-    stage: Stage, show: Show, recording: Recording, file: Path, read: Read, count: int
+    robots: Robots, show: Show, recording: Recording, file: Path, read: Read, count: int
 ) -> None:
     for seq in range(1, count + 1):
         show(seq, worker=f"w{seq}")
@@ -187,15 +187,15 @@ def test_the_camera_has_every_world_in_sight(
 
 
 def test_there_is_a_camera_before_there_is_anything_to_see(
-    stage: Stage, recording: Recording, file: Path, read: Read
+    robots: Robots, recording: Recording, file: Path, read: Read
 ) -> None:
-    del stage  # made, and told nothing
+    del robots  # made, and told nothing
     assert recording.close(5.0)
     assert "/eye" in read(file)
 
 
 def test_names_that_change_with_every_message_do_not_grow_the_recording(
-    stage: Stage,
+    robots: Robots,
     show: Show,
     message: Message,
     said: list[str],
@@ -209,8 +209,8 @@ def test_names_that_change_with_every_message_do_not_grow_the_recording(
         path = plain["trace"]["paths"]["load"]
         trace = plain["trace"] | {"bodies": [f"a{seq}", f"b{seq}"], "paths": {f"p{seq}": path, f"q{seq}": path}}
         show(seq, trace=trace, scene=[{**geom, "body": f"{geom['body']}{seq}"} for geom in plain["scene"]])
-        stage.tick(10.0 * seq)
-        stage.tick(10.0 * seq + 5.0)
+        robots.tick(10.0 * seq)
+        robots.tick(10.0 * seq + 5.0)
     assert recording.close(5.0)
     content = read(file)
     assert sum(path.startswith("/world/crane-1/paths/") for path in content) == MAX_PATHS[0]
@@ -221,8 +221,8 @@ def test_names_that_change_with_every_message_do_not_grow_the_recording(
     assert [word for word in ("bodies", "paths", "shapes") if not any(word in line for line in said)] == []
 
 
-def test_a_worker_has_its_shapes_drawn_anew_a_few_times_only(
-    stage: Stage, show: Show, message: Message, said: list[str], recording: Recording, file: Path, read: Read
+def test_the_shapes_of_a_worker_are_redrawn_a_few_times_only(
+    robots: Robots, show: Show, message: Message, said: list[str], recording: Recording, file: Path, read: Read
 ) -> None:
     scene = message(1)["scene"]
     for seq in range(1, 3 * MAX_SCENES):

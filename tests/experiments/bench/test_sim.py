@@ -1,4 +1,4 @@
-"""The bench's figures belong to a real run."""
+"""The figures of `crkr bench sim` belong to a real run."""
 
 import json
 
@@ -7,12 +7,10 @@ import pytest
 from typer import Typer
 from typer.testing import CliRunner
 
-from crkr.experiments.bench.sim import sim
-from crkr.experiments.bench.sim_measure import worst_violation
-from crkr.sim_worker.primitives.bench_primitive import draw_goals
-from crkr.sim_worker.primitives.stroke import JointLimits
-
-ARM = JointLimits(np.full(6, -3.0), np.full(6, 3.0), np.full(6, 2.5), np.full(6, 25.0))
+from crkr.experiments.bench.commands import sim
+from crkr.experiments.bench.sim import environment_times
+from crkr.sim_worker.skill import SkillOptions
+from crkr.sim_worker.table_tennis.table_tennis import TableTennis
 
 
 def test_the_command_prints_every_ratio() -> None:
@@ -24,12 +22,14 @@ def test_the_command_prints_every_ratio() -> None:
     ratio = rows["a contact trial with learning / its bare steps"]
     assert ratio["value"] > 1
     assert ratio["value"] * ratio["detail"]["bare steps ms"] == pytest.approx(ratio["detail"]["trial ms"])
-    worst = rows["accepted swings: worst departure from goal or limits"]
-    assert worst["value"] <= 1e-6
-    assert worst["reached"]
-    assert sum(row["bar"] is not None for row in rows.values()) == 6
+    assert 0 <= rows["same strict verdict as analytic: contact"]["value"] <= 1
+    assert sum(row["bar"] is not None for row in rows.values()) == 4
 
 
-def test_drawn_swings_keep_their_goals_and_limits() -> None:
-    goals = draw_goals(ARM, np.random.default_rng(1), 20)
-    assert 0 <= worst_violation(ARM, goals) <= 1e-6
+def test_the_same_trials_are_timed_in_every_environment() -> None:
+    skill = TableTennis(SkillOptions(environment="contact"), traces=False)
+    shown = skill.demonstrations(3, np.random.default_rng(0))
+    balls, goals = np.array([one.state for one in shown]), np.array([one.goal for one in shown])
+    times = environment_times(balls, goals, 30)
+    assert set(times) == {"analytic", "hybrid", "contact", "bare", "batched"}
+    assert min(times.values()) > 0

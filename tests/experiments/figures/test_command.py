@@ -11,7 +11,7 @@ from typer import Typer
 from typer.testing import CliRunner
 
 from crkr.experiments.figures.command import figure3, figure4, figure5, figure7, policy
-from crkr.experiments.figures.exploration import WIDTH, explored
+from crkr.experiments.figures.method import WIDTH, exploration_moments
 
 
 @pytest.fixture
@@ -40,7 +40,7 @@ def test_a_figure_of_the_method_takes_no_simulation(app: Typer, tmp_path: Path, 
     assert_drawn(tmp_path / "new" / "folder" / f"{name}.png")
 
 
-def test_a_figure_that_is_there_is_replaced_only_where_that_was_asked_for(app: Typer, tmp_path: Path) -> None:
+def test_an_existing_figure_is_replaced_only_with_overwrite(app: Typer, tmp_path: Path) -> None:
     figure = tmp_path / "figure3.png"
     figure.write_text("of an earlier run")
     result = CliRunner().invoke(app, ["figure3", "--out", str(tmp_path)])
@@ -51,7 +51,7 @@ def test_a_figure_that_is_there_is_replaced_only_where_that_was_asked_for(app: T
 
 
 def test_exploration_narrows_around_what_was_cheap() -> None:
-    first, some, many = explored(4)
+    first, some, many = exploration_moments(4)
     assert (first.iterations, some.iterations, many.iterations) == (0, 5, 50)
     assert [len(moment.costs) for moment in (first, some, many)] == [1, 6, 51]
     misses = many.goals - (np.sin(many.states) + 0.3 * many.states)
@@ -60,7 +60,7 @@ def test_exploration_narrows_around_what_was_cheap() -> None:
     target = np.sin(first.shown) + 0.3 * first.shown
     errors = [np.abs(moment.mean - target).mean() for moment in (first, some, many)]
     assert errors[2] < 0.5 * errors[0]
-    again = explored(4)[2]
+    again = exploration_moments(4)[2]
     np.testing.assert_array_equal(again.goals, many.goals)
 
 

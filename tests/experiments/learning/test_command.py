@@ -60,9 +60,7 @@ def test_launcher_preset_and_demonstrations_are_chosen_by_flags(app: Typer) -> N
 
 
 @pytest.mark.parametrize("name", ["learning.json", "learning.png"])
-def test_what_an_earlier_run_drew_is_replaced_only_where_that_was_asked_for(
-    app: Typer, tmp_path: Path, name: str
-) -> None:
+def test_the_files_of_an_earlier_run_are_replaced_only_with_overwrite(app: Typer, tmp_path: Path, name: str) -> None:
     (tmp_path / name).write_text("of an earlier run")
     result = CliRunner().invoke(app, [*SHORT, "--seeds", "1", "--out", str(tmp_path)])
     assert isinstance(result.exception, Invalid)

@@ -8,8 +8,8 @@ import pytest
 from scipy import stats
 
 from crkr.client.tally import Tally
+from crkr.experiments.learning.many_runs import mean_interval, summarise
 from crkr.experiments.learning.run import MARKS, Course, LearningRun, Score, learn_once
-from crkr.experiments.learning.summary import mean_interval, summarise
 from crkr.sim_worker.skill import SkillOptions
 from crkr.sim_worker.table_tennis import TableTennis
 
@@ -37,7 +37,7 @@ def test_a_whole_run_in_contact_repeats_bitwise() -> None:
     assert len(runs[0].training) > 1
 
 
-def test_watching_a_run_changes_nothing_else(analytic: TableTennis) -> None:
+def test_a_learning_curve_changes_nothing_else_in_a_run(analytic: TableTennis) -> None:
     plain = learn_once(analytic, COURSE, 3)
     watched = learn_once(analytic, replace(COURSE, marks=MARKS), 3)
     assert (watched.final, watched.training) == (plain.final, plain.training)

@@ -28,13 +28,11 @@ _EXTRAS: Final = {
     "prometheus_client": ("server",),
     "pyarrow": ("export",),
     "rerun": ("dashboard",),
-    "rliable": ("experiments",),
     "scipy": ("server", "mirror", "sim", "experiments"),
     "sklearn": ("experiments",),
 }
 _EXTRA_OF_PART: Final = {
     "client": "mirror",
-    "client.bench": "server",  # it starts one
     "server": "server",
     "sim_worker": "sim",
     "dashboard": "dashboard",
@@ -85,8 +83,7 @@ def reason_missing(error: Exception, command: str, module: str) -> str:
     extras = _EXTRAS.get(package)
     if extras is None:
         return f"crkr {command} cannot be loaded: {error}"
-    part, subpart = [*module.split(".")[1:3], "", ""][:2]
-    own = _EXTRA_OF_PART.get(f"{part}.{subpart}") or _EXTRA_OF_PART.get(part, "")
+    own = _EXTRA_OF_PART.get([*module.split("."), ""][1], "")
     extra = own if own in extras else extras[0]
     return f"crkr {command} needs the extra '{extra}': pip install 'crkr[{extra}]'"
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import os
 
-# A recording that was asked for is made, whatever the environment says: RERUN=off, common on build machines, leaves it
-# empty, and others of Rerun's variables abort the process, move the file or fill standard error.
+# Rerun's own variables must not matter: RERUN=off, common on build machines, leaves the recording empty; others abort
+# the process, move the file or fill standard error.
 for _name in [name for name in os.environ if name.lstrip("_").startswith("RERUN")]:
     del os.environ[_name]
 

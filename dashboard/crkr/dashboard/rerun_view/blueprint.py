@@ -1,4 +1,4 @@
-"""How the viewer's panels are arranged."""
+"""How the viewer's panels are arranged, and their colours, which mean the same in each."""
 
 from __future__ import annotations
 
@@ -6,17 +6,39 @@ from typing import Final
 
 import rerun.blueprint as rrb
 
-__all__ = ["EYE", "arrangement"]
+__all__ = ["CRITERIA", "EYE", "FAILURE", "LINES", "MEAN", "NEUTRAL", "SUCCESS", "layout", "shade"]
 
 PATHS_SHOWN: Final = 30  # trials whose paths stay in view
-EYE: Final = "eye"  # the camera of the 3D view, outside of "world" and so no worker's name
+EYE: Final = "eye"  # the camera of the 3D view; outside "world", so no worker can have the name
+
+# 0xRRGGBBAA
+SUCCESS: Final = 0x3DDC84FF
+FAILURE: Final = 0xFF5A4FFF
+MEAN: Final = 0xFFCA28FF  # seen on dark and on light ground
+NEUTRAL: Final = 0x9AA5B1FF
+CRITERIA: Final = (0x4FC3F7FF, 0xFFB74DFF, 0xCE93D8FF, 0xAED581FF)
+LINES: Final = (
+    0x4FC3F7FF,
+    0xFFB74DFF,
+    0xCE93D8FF,
+    0xAED581FF,
+    0xFF8A80FF,
+    0x80CBC4FF,
+    0xF48FB1FF,
+    0xFFF176FF,
+)
 
 
-def arrangement(*, replayed: bool = False) -> rrb.Blueprint:
-    """The layout. It knows nothing of the run and can be sent first: the 3D view follows a camera in the data.
+def shade(colour: int, alpha: float) -> int:
+    """The colour with another opacity in [0, 1]."""
+    return (colour & 0xFFFFFF00) | round(255 * alpha)
+
+
+def layout(*, replayed: bool = False) -> rrb.Blueprint:
+    """The layout, independent of the run: the 3D view follows a camera in the data.
 
     Args:
-        replayed: Leave out what a log cannot fill.
+        replayed: Leave out the panels that a log cannot fill.
     """
     return rrb.Blueprint(
         _stored() if replayed else _live(),

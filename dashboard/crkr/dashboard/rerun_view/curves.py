@@ -1,4 +1,4 @@
-"""Numbers over the run, as rows of scalar entities that are sent in batches."""
+"""Numbers over the run, sent in batches as rows of scalar entities."""
 
 from __future__ import annotations
 
@@ -10,34 +10,33 @@ from typing import Any, Final, final
 
 import rerun as rr
 
-from crkr.dashboard.names import Names
 from crkr.dashboard.progress import WINDOW, EpochResult, Progress, Row
-from crkr.dashboard.rerun_view.colours import CRITERIA, FAILURE, LINES, MEAN, NEUTRAL, SUCCESS, shade
-from crkr.dashboard.rerun_view.recording import Recording
+from crkr.dashboard.rerun_view.blueprint import CRITERIA, FAILURE, LINES, MEAN, NEUTRAL, SUCCESS, shade
+from crkr.dashboard.rerun_view.recording import NameLimit, Recording
 from crkr.dashboard.status_facts import latency_ms
 from crkr.dashboard.telemetry import Telemetry
 
 __all__ = ["Curves"]
 
 Path = tuple[str, ...]
-MAX_PHASES: Final = 16  # durations told apart
+MAX_PHASES: Final = 16  # names of durations
 
 
 @final
 class Curves:
-    """Collects numbers and sends those of each entity at once.
+    """Numbers that are collected, and sent together for each entity.
 
     Args:
         recording: Where to.
-        say: Told of what there is no place for.
+        say: Called with a line about what is not drawn.
 
     Attributes:
-        waiting: Numbers that are not sent yet.
+        waiting: Count of numbers not yet sent.
     """
 
     def __init__(self, recording: Recording, say: Callable[[str], object]) -> None:
         self._recording = recording
-        self._phases = Names("timed phases", MAX_PHASES, MAX_PHASES, say)
+        self._phases = NameLimit("timed phases", MAX_PHASES, MAX_PHASES, say)
         self._styled: set[Path] = set()
         self._rows: dict[Path, list[tuple[int, int, float]]] = defaultdict(list)
         self._durations: dict[str, list[float]] = defaultdict(list)
@@ -62,7 +61,7 @@ class Curves:
                 self._line(("reasons", name), row, share, LINES[index % len(LINES)], name)
 
     def picture(self, row: Row, telemetry: Telemetry) -> None:
-        """Width and novelty of the goal that was tried, and how long it took."""
+        """Sigma and novelty of the goal that was tried, and the durations of the trial."""
         if row.kind not in ("trial", "failed"):
             return
         measured = (("sigma", telemetry.sigma_mean, LINES[0]), ("novelty", telemetry.novelty, LINES[1]))
@@ -73,7 +72,7 @@ class Curves:
                 self._point(("exploration", name), row, value, shade(colour, 0.4), f"{name}, each trial")
                 self._line(("exploration", f"{name}_mean"), row, sum(recent) / len(recent), colour, f"{name}, last 50")
         for name, duration in telemetry.timing_ms.items():
-            self._durations[name if self._phases.has_place(name) else "other"].append(duration)
+            self._durations[name if self._phases.admits(name) else "other"].append(duration)
 
     def epoch(self, result: EpochResult, progress: Progress) -> None:
         """Success of one evaluation with its 95 % interval."""
@@ -117,7 +116,7 @@ class Curves:
                 self._append(("latency", f"server_{verb}"), progress.trials, progress.epoch, served[verb][1], style)
 
     def flush(self, progress: Progress) -> None:
-        """Sends what was collected."""
+        """Send what was collected."""
         for index, (name, durations) in enumerate(sorted(self._durations.items())):
             style = partial(rr.SeriesLines, colors=LINES[index % len(LINES)], names=f"worker: {name}", widths=1.5)
             self._append(("latency", f"worker_{name}"), progress.trials, progress.epoch, median(durations), style)
@@ -149,6 +148,6 @@ class Curves:
     def _append(self, path: Path, trial: int, epoch: int, value: float, style: Callable[[], Any]) -> None:
         if path not in self._styled:
             self._styled.add(path)
-            self._recording.fixed(path, style())  # made only here: it takes longer than all the rest
+            self._recording.fixed(path, style())  # made once: it takes longer than all the rest
         self._rows[path].append((trial, epoch, value))
         self.waiting += 1

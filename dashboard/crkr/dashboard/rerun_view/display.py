@@ -1,4 +1,4 @@
-"""The view that speaks Rerun."""
+"""The display in Rerun."""
 
 from __future__ import annotations
 
@@ -10,44 +10,42 @@ from typing import Any, Final, final
 
 import rerun as rr
 
+from crkr.dashboard.feed import NOT_STORED
 from crkr.dashboard.progress import EpochResult, Progress, Row
-from crkr.dashboard.rerun_view.blueprint import arrangement
+from crkr.dashboard.rerun_view.blueprint import layout
 from crkr.dashboard.rerun_view.curves import Curves
 from crkr.dashboard.rerun_view.recording import Recording
-from crkr.dashboard.rerun_view.robots import Stage
+from crkr.dashboard.rerun_view.robots import Robots
 from crkr.dashboard.rerun_view.text_panels import guide_page, outcomes_page, status_page
 from crkr.dashboard.status_facts import speed
 from crkr.dashboard.telemetry import Telemetry
-from crkr.dashboard.view import NOT_STORED
 from crkr.protocol import printable
 
 __all__ = ["RerunDisplay"]
 
 _logger = logging.getLogger(__name__)
-NUMBERS_EVERY_S: Final = 0.5  # small chunks cost a viewer far more than what they hold
+NUMBERS_EVERY_S: Final = 0.5  # many small chunks slow a viewer down
 MOST_NUMBERS: Final = 50_000  # some megabytes
 PAGES_EVERY_S: Final = 1.0
 
 
 @final
 class RerunDisplay:
-    """Logs a run to Rerun; implements `View`.
+    """A run as a Rerun recording; implements `View`.
 
     Args:
         recording: Where to.
         task: The task's name.
-        replayed: The run comes from its log, all at once and without what workers publish.
+        replayed: The run is read from its log at once, without what workers publish.
     """
 
     def __init__(self, recording: Recording, task: str, *, replayed: bool = False) -> None:
         self._recording = recording
         self._task = task
         self._replayed = replayed
-        recording.layout(
-            arrangement(replayed=replayed)
-        )  # first: a viewer that has data and no layout makes up one of its own
+        recording.layout(layout(replayed=replayed))  # first: a viewer with data and no layout makes up its own
         self._times: dict[str, int] = {"trial": 0, "epoch": 0}
-        self._stage = Stage(recording, self._warn)
+        self._robots = Robots(recording, self._warn)
         self._curves = Curves(recording, self._warn)
         self._status: Mapping[str, Any] = {}
         self._answered = 0.0
@@ -56,22 +54,22 @@ class RerunDisplay:
         self._speed: deque[tuple[float, int]] = deque(maxlen=10)
 
     def task(self, description: str) -> None:
-        """Writes the page that explains the panels."""
+        """Write the page that explains the panels."""
         page = rr.TextDocument(guide_page(self._task, description), media_type=rr.MediaType.MARKDOWN)
         self._recording.fixed(["guide"], page)
 
     def trials(self, rows: Sequence[Row], progress: Progress) -> None:
-        """Adds points to the curves."""
+        """Add points to the curves."""
         self._note_times(progress)
         self._curves.trials(rows)
 
     def picture(self, row: Row, telemetry: Telemetry) -> None:
-        """Puts a trial on the stage."""
-        self._stage.picture(row, telemetry)
+        """Show a trial in the 3D view."""
+        self._robots.picture(row, telemetry)
         self._curves.picture(row, telemetry)
 
     def epoch(self, result: EpochResult, progress: Progress) -> None:
-        """Adds a point to the learning curve."""
+        """Add a point to the learning curve."""
         self._curves.epoch(result, progress)
         rates = ", ".join(
             f"{name} {result.tally.rate(name):.2f} [{low:.2f}, {high:.2f}]"
@@ -80,13 +78,13 @@ class RerunDisplay:
         self.say(f"epoch {result.epoch}: {rates} of {result.balls} evaluation trials")
 
     def status(self, status: Mapping[str, Any], progress: Progress, now: float) -> None:
-        """Keeps the status for the next page."""
+        """Keep the status for the next page."""
         self._note_times(progress)
         self._status, self._answered = status, now
         self._curves.status(status, progress)
 
     def say(self, message: str, *, warning: bool = False) -> None:
-        """Adds a line to the log panel."""
+        """Add a line to the log panel."""
         level = rr.TextLogLevel.WARN if warning else rr.TextLogLevel.INFO
         self._recording.at(self._times, ["log"], rr.TextLog(printable(message), level=level))
 
@@ -95,8 +93,8 @@ class RerunDisplay:
         self.say(message, warning=True)
 
     def tick(self, now: float, progress: Progress) -> None:
-        """Sends what is due."""
-        self._stage.tick(now)
+        """Send what is due."""
+        self._robots.tick(now)
         if self._curves.waiting >= MOST_NUMBERS or (now >= self._next_numbers and not self._replayed):
             self._next_numbers = now + NUMBERS_EVERY_S
             self._curves.flush(progress)
@@ -106,7 +104,7 @@ class RerunDisplay:
             self._write_pages(progress, now)
 
     def finish(self, progress: Progress) -> None:
-        """Sends everything that is still here."""
+        """Send all that is left."""
         now = self._answered if self._replayed else time.monotonic()
         self.tick(now, progress)
         self._curves.flush(progress)

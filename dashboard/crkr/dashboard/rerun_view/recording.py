@@ -1,35 +1,36 @@
-"""The one logger to Rerun: a stream that serves viewers on this machine and, if asked, writes a file beside it."""
+"""The recording in Rerun: a stream that serves viewers and can also be written to a file."""
 
 from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Iterable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, final
 
 import rerun as rr
 import rerun.blueprint as rrb
 
-__all__ = ["APPLICATION", "Recording"]
+__all__ = ["APPLICATION", "NameLimit", "Recording"]
 
 _logger = logging.getLogger(__name__)
-APPLICATION: Final = "crkr"  # the viewer keeps a user's layout by it; a run is a recording within it
+APPLICATION: Final = "crkr"  # a viewer stores a user's layout under it
 FLUSH_EVERY_S: Final = 0.2
 LAYOUT_S: Final = 5.0
 
 
 @final
 class Recording:
-    """One run in Rerun's words; to be used from one thread.
+    """One run in Rerun; for one thread.
 
-    A viewer that is slow, stopped or gone never holds it up: it serves viewers and is not a client of one. Only closing
-    can take time, which `close` bounds.
+    A slow or stopped viewer never blocks it: it serves viewers and is not a client of one. Only closing can take time,
+    which `close` bounds.
 
     Args:
         address: (host, port) to serve viewers on, or None.
         save: File to write, or None.
-        memory_limit: What is kept for viewers that come later, e.g. "512MiB"; the oldest goes first.
+        memory_limit: Data kept for later viewers, e.g. "512MiB"; the oldest is dropped first.
     """
 
     def __init__(self, address: tuple[str, int] | None, save: Path | None, memory_limit: str = "512MiB") -> None:
@@ -44,27 +45,27 @@ class Recording:
             self._stream.set_sinks(*sinks)
 
     def fixed(self, path: Sequence[str], *content: Any) -> None:
-        """Logs what holds at all times."""
+        """Log what holds at all times."""
         self._stream.log(list(path), *content, static=True)
 
     def at(self, times: Mapping[str, int], path: Sequence[str], *content: Any) -> None:
-        """Logs something at a moment of the timelines "trial" and "epoch"."""
+        """Log at a moment of the timelines "trial" and "epoch"."""
         self._stream.reset_time()
         for name, value in times.items():
             self._stream.set_time(name, sequence=value)
         self._stream.log(list(path), *content)
 
     def columns(self, path: Sequence[str], times: Iterable[rr.TimeColumn], content: Iterable[Any]) -> None:
-        """Logs many moments at once."""
+        """Log many moments at once."""
         self._stream.send_columns(rr.new_entity_path(list(path)), indexes=times, columns=content)
 
     def layout(self, blueprint: rrb.Blueprint) -> None:
-        """Arranges the viewers before they get anything else; a second time would undo what their users changed."""
+        """Arrange the panels, once and before anything else: a second time would undo what users changed."""
         self._stream.send_blueprint(blueprint, make_active=True, make_default=True)
-        self._flush(LAYOUT_S)  # or data, which takes another way through Rerun, might overtake it
+        self._flush(LAYOUT_S)  # otherwise data may overtake it inside Rerun
 
     def close(self, within_s: float) -> bool:
-        """Writes out what is buffered and ends the file; returns whether it was done in time."""
+        """Write out what is buffered and end the file; returns whether that was done in time."""
 
         def finish() -> None:
             self._flush(within_s)
@@ -78,5 +79,40 @@ class Recording:
     def _flush(self, within_s: float) -> None:
         try:
             self._stream.flush(timeout_sec=within_s)
-        except (RuntimeError, ValueError) as error:  # a viewer did not take its part; a file is written at the end
+        except (RuntimeError, ValueError) as error:  # a viewer did not read in time; a file is complete at the end
             _logger.warning("not all of the recording may have reached every viewer yet: %s", error)
+
+
+@final
+class NameLimit:
+    """The names of one kind that are drawn: the first ones, at most `each` for an owner and `total` in all.
+
+    Args:
+        kind: What they name, e.g. "paths".
+        each: The most of one owner.
+        total: The most of all owners.
+        say: Called the first time that a name is not drawn.
+    """
+
+    def __init__(self, kind: str, each: int, total: int, say: Callable[[str], object]) -> None:
+        self._kind = kind
+        self._each = each
+        self._total = total
+        self._say = say
+        self._known: set[tuple[str, str]] = set()
+        self._count: Counter[str] = Counter()
+        self._said = False
+
+    def admits(self, name: str, owner: str = "") -> bool:
+        """Whether the name is drawn; a new one is while there is room."""
+        if (owner, name) in self._known:
+            return True
+        if len(self._known) < self._total and self._count[owner] < self._each:
+            self._known.add((owner, name))
+            self._count[owner] += 1
+            return True
+        if not self._said:
+            self._said = True
+            whose = f" of {owner}" if owner else ""
+            self._say(f"more {self._kind}{whose} than are shown: at most {self._each} each and {self._total} in all")
+        return False

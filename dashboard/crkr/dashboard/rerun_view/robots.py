@@ -1,12 +1,12 @@
-"""The robots in 3D: every trial's paths, and one trial at a time of each worker in real time.
+"""The robots in 3D: the paths of every trial, and of each worker one trial at a time in real time.
 
-Workers finish trials faster than they could be watched. The paths of all trials are drawn, coloured by success; poses
-only of the newest trial when the one before has been played. Poses of all bodies go out as rows of one entity per
-worker, which names the moved frame in each row: a chunk per worker and tick instead of one per body. Demonstrations are
-played in the world of the first worker that tries: who records them often does nothing else.
+Workers finish trials faster than they can be watched. All paths are drawn, coloured by success. Poses are drawn of the
+newest trial, once the one before has been played. The poses of all bodies are rows of one entity for each worker, which
+names the moved frame in each row: one chunk for each worker and tick instead of one for each body. Demonstrations are
+played in the world of the first worker that tries something: their own worker often does nothing else.
 
     eye                               the camera that the 3D view follows, static
-    world/<worker>                    where its world stands, static
+    world/<worker>                    position of its world, static
     world/<worker>/shapes/<body>/...  shapes, static, each in the frame "<worker>/<body>"
     world/<worker>/motion             transforms of those frames
     world/<worker>/paths/<name>       a line per trial, coloured by success
@@ -22,33 +22,30 @@ from typing import Any, Final, final
 import numpy as np
 import rerun as rr
 
-from crkr.dashboard.names import Names
 from crkr.dashboard.progress import Row
-from crkr.dashboard.rerun_view.blueprint import EYE
-from crkr.dashboard.rerun_view.colours import FAILURE, SUCCESS
-from crkr.dashboard.rerun_view.recording import Recording
-from crkr.dashboard.rerun_view.shapes import bounds, shapes_by_body
-from crkr.dashboard.rerun_view.world_layout import VIEW_ANGLE, eye, facing, offset
+from crkr.dashboard.rerun_view.blueprint import EYE, FAILURE, SUCCESS
+from crkr.dashboard.rerun_view.recording import NameLimit, Recording
+from crkr.dashboard.rerun_view.scene import VIEW_ANGLE, bounds, eye, offset, shapes_by_body, upright_rotation
 from crkr.dashboard.telemetry import Telemetry
 from crkr.protocol import Geom, Trace
 
-__all__ = ["Stage"]
+__all__ = ["Robots"]
 
 MAX_WORKERS: Final = 64
 MAX_BODIES: Final = (128, 1024)  # of a worker, and of all
 MAX_PATHS: Final = (16, 256)
-MAX_SCENES: Final = 8  # of a worker: what stands still is kept for ever by a recording
+MAX_SCENES: Final = 8  # of a worker: a recording keeps static data for ever
 PATH_RADIUS: Final = -0.6  # negative: Rerun's points on the screen, whatever the distance
 MAX_EARLY: Final = 16
-ALONE_S: Final = 15.0
-HOLD_S: Final = 0.3  # the last pose of a trial stays so long
+ALONE_S: Final = 15.0  # without another worker, after which demonstrations get a world
+HOLD_S: Final = 0.3  # for which the last pose of a trial stays
 NO_SCENE: Final = (np.array([-1.0, -1.0, 0.0]), np.array([1.0, 1.0, 1.0]))
 
 
 @final
 @dataclass(slots=True)
 class _World:
-    """One worker's part of the stage."""
+    """One worker's part of the 3D view."""
 
     name: str
     index: int
@@ -63,20 +60,20 @@ class _World:
 
 
 @final
-class Stage:
-    """Draws what the workers publish.
+class Robots:
+    """The 3D view of what the workers publish.
 
     Args:
         recording: Where to.
-        say: Told of what there is no place for.
+        say: Called with a line about what is not drawn.
     """
 
     def __init__(self, recording: Recording, say: Callable[[str], object]) -> None:
         self._recording = recording
         self._say = say
-        self._bodies = Names("bodies", *MAX_BODIES, say)
-        self._paths = Names("paths", *MAX_PATHS, say)
-        self._crowded = self._changing = False  # what was told
+        self._bodies = NameLimit("bodies", *MAX_BODIES, say)
+        self._paths = NameLimit("paths", *MAX_PATHS, say)
+        self._crowded = self._changing = False  # whether `say` was called about it
         self._worlds: dict[str, _World] = {}
         self._early: deque[tuple[Row, Telemetry]] = deque(maxlen=MAX_EARLY)
         self._alone_until: float | None = None
@@ -85,7 +82,7 @@ class Stage:
         self._look()
 
     def picture(self, row: Row, telemetry: Telemetry) -> None:
-        """Takes in what a worker published about a trial."""
+        """Add what a worker published about a trial."""
         if row.kind == "demonstration" and telemetry.worker not in self._worlds:
             self._early.append((row, telemetry))
         else:
@@ -103,9 +100,9 @@ class Stage:
                 world.paths.setdefault(name, []).append((row, path))
 
     def _known_part(self, world: _World, trace: Trace) -> Trace:
-        """A trace with the bodies and paths that there is a place for."""
-        kept = [index for index, name in enumerate(trace.bodies) if self._bodies.has_place(name, world.name)]
-        paths = {name: path for name, path in trace.paths.items() if self._paths.has_place(name, world.name)}
+        """The part of a trace whose bodies and paths are drawn."""
+        kept = [index for index, name in enumerate(trace.bodies) if self._bodies.admits(name, world.name)]
+        paths = {name: path for name, path in trace.paths.items() if self._paths.admits(name, world.name)}
         if len(kept) == len(trace.bodies) and len(paths) == len(trace.paths):
             return trace
         return replace(
@@ -122,22 +119,22 @@ class Stage:
             self._draw_scene(world, scene)
         elif not self._changing:
             self._changing = True
-            self._say(f"the shapes of {world.name} change again and again; later ones are not shown")
+            self._say(f"the shapes of {world.name} changed more than {MAX_SCENES} times; later ones are not shown")
 
     def tick(self, now: float) -> None:
-        """Draws the new paths and moves the robots to where they were at `now`, monotonic [s]."""
+        """Draw the new paths, and move the robots to where they were at `now`, monotonic [s]."""
         self._show_demonstrations(now)
         for world in self._worlds.values():
             try:
                 self._play(world, now)
                 self._draw_paths(world)
             except Exception:
-                world.playing = world.waiting = None  # or it would fail at each tick
+                world.playing = world.waiting = None  # otherwise each tick fails
                 world.paths.clear()
                 raise
 
     def _show_demonstrations(self, now: float) -> None:
-        """In the first worker's world, or in one of their own if nobody tries for a while."""
+        """Show them in the first worker's world, or after some seconds without a trial in a new one."""
         if not self._early:
             return
         self._alone_until = now + ALONE_S if self._alone_until is None else self._alone_until
@@ -159,17 +156,17 @@ class Stage:
         return self._worlds.get(worker)
 
     def _look(self) -> None:
-        """Moves the camera to where all worlds are in sight; a viewer whose user moved his own stays where he is."""
+        """Move the camera so that all worlds are in sight; a viewer whose user moved the view keeps that."""
         position, target = eye(max(len(self._worlds), 1), *self._bounds)
         self._recording.fixed(
             [EYE],
-            rr.Transform3D(translation=position, mat3x3=facing(position, target)),
-            # Not to be seen itself from elsewhere.
+            rr.Transform3D(translation=position, mat3x3=upright_rotation(position, target)),
+            # The camera itself is not drawn.
             rr.Pinhole(fov_y=VIEW_ANGLE, aspect_ratio=1.0, image_plane_distance=1e-3, line_width=0.0, color=0),
         )
 
     def _place(self, world: _World) -> None:
-        """The worker's frame; shapes, paths and poses hang on it, whatever characters its name has."""
+        """Place the worker's frame, the parent of its shapes, paths and poses."""
         self._recording.fixed(
             ["world", world.name],
             rr.Transform3D(
@@ -180,7 +177,7 @@ class Stage:
     def _draw_scene(self, world: _World, scene: tuple[Geom, ...]) -> None:
         first = not any(other.scene for other in self._worlds.values())
         world.scene = scene
-        shown = [geom for geom in scene if geom.body == "world" or self._bodies.has_place(geom.body, world.name)]
+        shown = [geom for geom in scene if geom.body == "world" or self._bodies.admits(geom.body, world.name)]
         if first and shown:
             self._bounds = bounds(shown)
             for other in self._worlds.values():

@@ -37,7 +37,7 @@ def status_page(
     trials_per_second: float,
     remark: str = "",
 ) -> str:
-    """The run in numbers, `status` being what the server answered `status_age_s` ago; a remark stands at the end."""
+    """The run in numbers; the server answered `status` `status_age_s` ago, and `remark` is the last line."""
     newest = max((result for result in progress.epochs.values() if result.closed), default=None, key=lambda r: r.epoch)
     kinds = progress.kinds
     lines = [
@@ -71,12 +71,12 @@ def status_page(
 
 
 def guide_page(task: str, description: str) -> str:
-    """What the panels show, for somebody who sees them for the first time."""
+    """The page that explains the panels."""
     return f"**{_plain(task)}**: {_plain(description) or 'no description.'}\n\n{GUIDE}"
 
 
 def outcomes_page(progress: Progress) -> str:
-    """How training trials ended."""
+    """The page of how training trials ended."""
     rows = [(reason, count, percent(share), percent(lately)) for reason, count, share, lately in reason_rows(progress)]
     if not rows:
         return "No training trial yet."
@@ -95,7 +95,7 @@ def _table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> list[str]:
 
 
 def _plain(text: str) -> str:
-    """Text from elsewhere without what markdown would read as markup."""
+    """Text from elsewhere, with markdown's markup escaped."""
     return re.sub(r"([\\`*_{}\[\]<>()#|!~])", r"\\\1", printable(" ".join(text.split())))
 
 

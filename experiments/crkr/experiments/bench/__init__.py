@@ -1,4 +1,4 @@
-"""Benchmarks of the learner and of simulated trials."""
+"""`crkr bench`: measurements beside a bare baseline, in one run."""
 
 from __future__ import annotations
 

@@ -1,41 +1,180 @@
-"""`crkr bench sim`: what table tennis trials cost, beside what they cannot do without."""
+"""What `crkr bench sim` measures: the trials of a real run, beside what they cannot do without.
+
+Both sides of a ratio are timed by the process's own clock, trial by trial in turns. `crkr` has numpy use one BLAS
+thread.
+"""
 
 from __future__ import annotations
 
-from dataclasses import asdict
-from typing import Annotated
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from functools import partial
+from time import process_time
+from typing import Final, NamedTuple, final
 
-import typer
+import numpy as np
 
-from crkr.client.cli.console import print_json, print_table, stdout
-from crkr.client.cli.options import Json
+from crkr.experiments.bench.measurements import Measurement, ratio
+from crkr.experiments.learning.run import Course, trained_learner
+from crkr.protocol import Array
+from crkr.sim_worker.primitives.stroke import Infeasible, JointLimits, Primitive
+from crkr.sim_worker.randomness import training_rng
+from crkr.sim_worker.skill import SkillOptions
+from crkr.sim_worker.table_tennis.arm import tracking
+from crkr.sim_worker.table_tennis.arm.dynamics import ACCELERATION_LIMITS, SPEED_LIMITS, Arm
+from crkr.sim_worker.table_tennis.environments.analytic_batch import AnalyticBatch
+from crkr.sim_worker.table_tennis.environments.environments import ENVIRONMENTS
+from crkr.sim_worker.table_tennis.environments.play import FOLLOW
+from crkr.sim_worker.table_tennis.environments.simulation import Simulation
+from crkr.sim_worker.table_tennis.planner import HOME
+from crkr.sim_worker.table_tennis.table_tennis import TableTennis
 
-__all__ = ["sim"]
+__all__ = ["environment_times", "measure"]
+
+_WARM: Final = 300  # trials before the measured ones: the active set is then full
+_BATCH: Final = 3000  # trials of the analytic environment at once
 
 
-def sim(
-    trials: Annotated[int, typer.Option(min=1, max=100_000, help="Trials to time in every environment.")] = 200,
-    seed: Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Of the run that they are taken from.")] = 0,
-    json: Json = False,
-) -> None:
-    """Measure trials of table tennis beside bare simulation, and swings beside Clarabel.
+class _Run(NamedTuple):
+    """The measured part of a run in contact.
 
-    Balls and goals are those of a real run after its first 300 trials.
-    Processor times differ between machines; the ratios should not.
-
-    Example: crkr bench sim --trials 100 --json
+    Attributes:
+        balls: (n, 6) the states of the trials that moved the arm.
+        goals: (n, 13) the goals tried in them.
+        all_goals: (m, 13) all goals.
+        learning_ms: Mean processor time of choosing a goal and learning from its result [ms].
     """
-    from crkr.experiments.bench.sim_measure import measure
 
-    rows = list(measure(trials, seed))
-    if json:
-        print_json([{**asdict(row), "reached": row.reached} for row in rows])
-        return
-    stdout.print(f"table tennis, {trials} trials after the first 300 of seed {seed}, one BLAS thread")
-    cells = []
-    for row in rows:
-        bar = "" if row.bar is None else f"{'≥' if row.at_least else '≤'} {row.bar:.3g}"
-        mark = "" if row.bar is None else "reached" if row.reached else "not reached"
-        behind = ", ".join(f"{name} {figure:.3g}" for name, figure in row.detail.items())
-        cells.append((row.what, f"{row.value:.3g}", bar, mark, behind))
-    print_table(("what", "figure", "bar", "", "behind it"), cells)
+    balls: Array
+    goals: Array
+    all_goals: Array
+    learning_ms: float
+
+
+def measure(trials: int, seed: int) -> Iterator[Measurement]:
+    """All figures, in turn, of `trials` trials of a run with a seed."""
+    run = _training_run(trials, seed)
+    ms = environment_times(run.balls, run.goals, _BATCH)
+    whole = ms["contact"] + run.learning_ms
+    behind = {"trial ms": whole, "of it learning": run.learning_ms, "bare steps ms": ms["bare"]}
+    yield Measurement("a contact trial with learning / its bare steps", whole / ms["bare"], 1.4, False, behind)
+    yield Measurement("contact trials a second", 1e3 / whole, None, True)
+    yield ratio("a hybrid trial / a contact trial", ms, "hybrid", "contact", 0.55, unit="ms")
+    behind = {"analytic us": 1e3 * ms["analytic"], "batched us": 1e3 * ms["batched"]}
+    what = f"analytic trials a second, {_BATCH} at once / one by one"
+    yield Measurement(what, ms["analytic"] / ms["batched"], 100.0, True, behind)
+    yield _swings(run.all_goals)
+    yield from _agreement(run)
+
+
+def environment_times(balls: Array, goals: Array, batch: int) -> dict[str, float]:
+    """Mean processor times of the same trials [ms]: by environment, "batched" analytic ones, and "bare" contact steps.
+
+    Args:
+        balls: (n, 6) as measured.
+        goals: (n, 13) for them, which all move the arm.
+        batch: Size of the batch, which repeats them.
+    """
+    skills = {name: TableTennis(SkillOptions(environment=name), traces=False) for name in ENVIRONMENTS}
+    spent = dict.fromkeys([*ENVIRONMENTS, "bare"], 0.0)
+    bare = _BareSteps()
+    for skill in skills.values():
+        skill.attempt(balls[0], goals[0])  # untimed
+    for ball, goal in zip(balls, goals, strict=True):
+        for name, skill in skills.items():
+            spent[name] += _timed(partial(skill.attempt, ball, goal))
+        spent["bare"] += bare.timed(ball, goal)
+    rows = np.resize(np.arange(len(balls)), batch)
+    many = AnalyticBatch(Arm())
+    many.play(balls[rows], goals[rows])  # untimed
+    batched = 1e3 * _timed(lambda: many.play(balls[rows], goals[rows])) / batch
+    return {name: 1e3 * total / len(balls) for name, total in spent.items()} | {"batched": batched}
+
+
+def _limits(arm: Arm) -> JointLimits:
+    return JointLimits(arm.lower, arm.upper, SPEED_LIMITS, ACCELERATION_LIMITS)
+
+
+@final
+class _BareSteps:
+    """The contact simulation of a goal with everything else prepared."""
+
+    def __init__(self) -> None:
+        self._arm, self._simulation = Arm(), Simulation()
+        self._primitive = Primitive(_limits(self._arm))
+
+    def timed(self, ball: Array, goal: Array) -> float:
+        """Processor time of the simulation's steps [s]."""
+        hit_time = float(goal[12])
+        swing = self._primitive.trajectory(HOME, goal[:6], goal[6:12], hit_time)
+        step = self._simulation.timestep
+        times = np.arange(int(np.ceil((hit_time + FOLLOW) / step)), dtype=np.float64) * step
+        controls = tracking.controls(self._arm, self._simulation.gains, swing, times)
+        start = self._simulation.start(HOME, ball)
+        return _timed(lambda: self._simulation.run(start, controls))
+
+
+def _timed(call: Callable[[], object]) -> float:
+    begin = process_time()
+    call()
+    return process_time() - begin
+
+
+def _swings(goals: Array) -> Measurement:
+    """The motion primitive beside Clarabel for every joint; a goal that is refused takes its time too."""
+    limits = _limits(Arm())
+    both = {"swing": Primitive(limits), "Clarabel": Primitive(limits, shortcuts=False)}
+    ms = dict.fromkeys(both, 0.0)
+
+    def attempt(primitive: Primitive, goal: Array) -> None:
+        with suppress(Infeasible):
+            primitive.trajectory(HOME, goal[:6], goal[6:12], float(goal[12]))
+
+    for primitive in both.values():
+        attempt(primitive, goals[0])  # untimed
+    for goal in goals:
+        for name, primitive in both.items():
+            ms[name] += 1e3 / len(goals) * _timed(partial(attempt, primitive, goal))
+    return ratio("a swing / Clarabel alone on the same goals", ms, "swing", "Clarabel", 0.15, unit="ms")
+
+
+def _agreement(run: _Run) -> Iterator[Measurement]:
+    """How often the other environments judge a trial as the analytic one does, and how far apart they land."""
+    verdicts = {}
+    for name in ENVIRONMENTS:
+        skill = TableTennis(SkillOptions(environment=name), traces=False)
+        results = [skill.attempt(ball, goal) for ball, goal in zip(run.balls, run.goals, strict=True)]
+        landings = np.array([np.full(2, np.nan) if r.outcome is None else r.outcome[3:5] for r in results])
+        verdicts[name] = np.array([bool(r.info["outcomes"]["strict"]) for r in results]), landings
+    exact, landed = verdicts.pop("analytic")
+    batched = AnalyticBatch(Arm()).play(run.balls, run.goals).strict
+    verdicts["analytic, batched"] = batched, np.full_like(landed, np.nan)
+    for name, (strict, landings) in verdicts.items():
+        apart = np.linalg.norm(landings - landed, axis=1)
+        apart = apart[~np.isnan(apart)]
+        behind = {"landings apart, median m": float(np.median(apart))} if apart.size else {}
+        yield Measurement(
+            f"same strict verdict as analytic: {name}", float((strict == exact).mean()), None, True, behind
+        )
+
+
+def _training_run(trials: int, seed: int) -> _Run:
+    """Trials of the default skill after the first 300 of a run."""
+    skill = TableTennis(SkillOptions(seed=seed), traces=False)
+    learner = trained_learner(skill, Course(_WARM, 0, 0, 5), seed, lambda _: None)
+    rng, balls, goals, executed, spent = training_rng(seed, 2), [], [], [], 0.0
+    for _ in range(trials):
+        ball = skill.reset(rng)
+        begin = process_time()
+        answer = learner.predict(ball, explore=True)
+        chosen = process_time()
+        result = skill.execute(answer.goals)
+        played = process_time()
+        kind = "trial" if result.executed else "failed"
+        learner.report(answer, cost=result.cost, success=result.success, kind=kind, outcome=result.outcome)
+        spent += chosen - begin + process_time() - played
+        balls.append(ball)
+        goals.append(answer.goals)
+        executed.append(result.executed)
+    moved = np.array(executed)
+    return _Run(np.array(balls)[moved], np.array(goals)[moved], np.array(goals), 1e3 * spent / trials)

@@ -1,4 +1,4 @@
-"""`crkr experiment figure3 ...`: the figures of [Cardoso2017], drawn anew by this learner and these simulators."""
+"""`crkr experiment figure3 ...`: the figures of [Cardoso2017], by this learner and these simulators."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ if TYPE_CHECKING:
 
 __all__ = ["figure3", "figure4", "figure5", "figure7", "policy"]
 
-Out = Annotated[Path, typer.Option(file_okay=False, help="Where the figure is saved.")]
+Out = Annotated[Path, typer.Option(file_okay=False, help="Folder to save the figure in.")]
 Seeds = Annotated[int, typer.Option(min=1, max=10_000, help="Runs of each curve, one a seed.")]
 FirstSeed = Annotated[int, typer.Option(min=0, max=2**30, help="Seed of the first run.")]
 Trials = Annotated[int, typer.Option(min=1, max=100_000, help="Training trials of a run.")]
-Balls = Annotated[int, typer.Option(min=1, max=1_000_000, help="Fresh contexts to judge each run on in the end.")]
+Balls = Annotated[int, typer.Option(min=1, max=1_000_000, help="Fresh contexts to evaluate each run on.")]
 Jobs = Annotated[int, typer.Option(min=1, max=256, help="Processes.")]
 HERE: Final = Path("figures")
 
@@ -40,7 +40,7 @@ def figure3(out: Out = HERE, overwrite: Overwrite = False) -> None:
 
     Example: crkr experiment figure3 --out figures
     """
-    from crkr.experiments.figures.kernel import draw_kernel
+    from crkr.experiments.figures.method import draw_kernel
 
     draw_kernel(_file(out, "figure3.png", overwrite))
     stderr.print(f"{out / 'figure3.png'}: the squared-exponential kernel with a length-scale a dimension")
@@ -51,14 +51,14 @@ def figure4(
     seed: Annotated[int, typer.Option(min=0, help="Of the states and draws.")] = 0,
     overwrite: Overwrite = False,
 ) -> None:
-    """Draw how exploration narrows around what was found to be good.
+    """Draw how exploration narrows around good goals.
 
     Example: crkr experiment figure4 --out figures
     """
-    from crkr.experiments.figures.exploration import draw_exploration, explored
+    from crkr.experiments.figures.method import draw_exploration, exploration_moments
 
     path = _file(out, "figure4.png", overwrite)
-    moments = explored(seed)
+    moments = exploration_moments(seed)
     draw_exploration(moments, path)
     stderr.print(f"{out / 'figure4.png'}: a demonstration and {moments[-1].iterations} trials")
 
@@ -68,16 +68,16 @@ def figure5(
     seeds: Seeds = 10,
     first_seed: FirstSeed = 0,
     trials: Trials = 1500,
-    budget: Annotated[int, typer.Option(min=1, max=1000, help="Samples that a prediction may use.")] = 250,
+    budget: Annotated[int, typer.Option(min=1, max=1000, help="Most active samples.")] = 250,
     balls: Balls = 200,
     jobs: Jobs = 2,
     overwrite: Overwrite = False,
     json: Json = False,
 ) -> None:
-    """Learn on past the budget, beside learners that stop at it or know none.
+    """Compare learning past the budget with stopping at it and with no budget.
 
-    Analytic table tennis by the settings of preset `paper`: ANMS chooses from
-    all samples, a rival keeps the first ones, another uses them all.
+    Analytic table tennis with preset `paper`: ANMS selects from all samples,
+    one rival keeps the first ones, another uses all.
 
     Example: crkr experiment figure5 --seeds 10 --jobs 2
     """
@@ -117,15 +117,15 @@ def policy(
     vary: Annotated[str, typer.Option(help="State coordinate to vary.")] = "ball_y",
     seed: FirstSeed = 0,
     trials: Trials = 1500,
-    preset: Annotated[str | None, typer.Option(help="Which settings, e.g. paper.")] = None,
-    environment: Annotated[str | None, typer.Option(help="Which simulator, e.g. analytic.")] = None,
+    preset: Annotated[str | None, typer.Option(help="Settings, e.g. paper.")] = None,
+    environment: Annotated[str | None, typer.Option(help="Simulator, e.g. analytic.")] = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Learn once, and draw what the policy does with the paddle while one coordinate varies.
+    """Learn once, and draw the paddle's goals while one coordinate of the state varies.
 
     Example: crkr experiment policy --vary ball_y --environment analytic
     """
-    from crkr.experiments.learning.run import Course, taught
+    from crkr.experiments.learning.run import Course, trained_learner
     from crkr.sim_worker.skill import SkillOptions
     from crkr.sim_worker.skill_registry import load_skill
     from crkr.sim_worker.supervisor.progress import Progress
@@ -134,7 +134,7 @@ def policy(
     path = _file(out, "policy.png", overwrite)
     skill = load_skill("table-tennis", SkillOptions(environment=environment, preset=preset))
     with Progress(stderr, "learning", trials, "trials") as progress:
-        learner = taught(skill, Course(trials, 0, _JUDGE, _DEMONSTRATIONS), seed, progress.show)
+        learner = trained_learner(skill, Course(trials, 0, _JUDGE, _DEMONSTRATIONS), seed, progress.show)
     index, states = varied(learner.spec, vary, 31, None)
     answer = learner.predict(states)
     draw_policy(learner.spec, index, states, answer.goals, answer.novelty, path)
@@ -151,7 +151,7 @@ def _epochs(
     size: tuple[int, int, int, int, int],
     as_json: bool,
 ) -> None:
-    from crkr.experiments.figures.epochs import draw_epochs
+    from crkr.experiments.figures.curves import draw_epochs
     from crkr.experiments.learning.many_runs import learn_many
     from crkr.experiments.learning.run import Course
     from crkr.sim_worker.skill import SkillOptions
@@ -207,7 +207,7 @@ def _summaries(ways: dict[str, list[LearningRun]]) -> dict[str, dict[str, Any]]:
 
 
 def _file(out: Path, name: str, overwrite: bool) -> Path:
-    """Before the work: what cannot be written, or is there already, should not be found out after it."""
+    """A path that can be written; checked before the work."""
     out.mkdir(parents=True, exist_ok=True)
     check_output(out / name, overwrite=overwrite)
     return out / name

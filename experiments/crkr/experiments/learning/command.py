@@ -1,4 +1,4 @@
-"""`crkr experiment learning`: how well a skill is learned, over many seeds."""
+"""`crkr experiment learning`: success of learning over many seeds."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from crkr.client.cli.options import Json, Overwrite
 from crkr.client.cli.output_file import check_output, output_file
 
 if TYPE_CHECKING:
+    from crkr.experiments.learning.many_runs import Summary
     from crkr.experiments.learning.run import Course, LearningRun
-    from crkr.experiments.learning.summary import Summary
     from crkr.sim_worker.skill import SkillOptions
 
 __all__ = ["learning"]
@@ -25,9 +25,9 @@ def learning(
     seeds: Annotated[int, typer.Option(min=1, max=10_000, help="Runs, one a seed.")] = 10,
     first_seed: Annotated[int, typer.Option(min=0, max=2**30, help="Seed of the first run.")] = 0,
     trials: Annotated[int, typer.Option(min=1, max=1_000_000, help="Training trials of a run.")] = 1500,
-    balls: Annotated[int, typer.Option(min=1, max=1_000_000, help="Fresh contexts to judge each run on.")] = 1000,
+    balls: Annotated[int, typer.Option(min=1, max=1_000_000, help="Fresh contexts to evaluate each run on.")] = 1000,
     judge: Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Seed of these contexts.")] = 777,
-    demonstrations: Annotated[int, typer.Option(min=1, max=10_000, help="They start each run.")] = 5,
+    demonstrations: Annotated[int, typer.Option(min=1, max=10_000, help="Demonstrations before the first trial.")] = 5,
     launcher: Annotated[str | None, typer.Option(help="Where contexts come from, e.g. nominal.")] = None,
     environment: Annotated[str | None, typer.Option(help="Which simulator, e.g. contact.")] = None,
     preset: Annotated[str | None, typer.Option(help="Which settings, e.g. tuned.")] = None,
@@ -38,7 +38,7 @@ def learning(
     overwrite: Overwrite = False,
     json: Json = False,
 ) -> None:
-    """Learn a skill again and again, each time with other seeds, and judge.
+    """Learn a skill with several seeds, and evaluate each run.
 
     No server is needed: each run has a learner in its own process. The same
     options give the same figures, whatever --jobs is.
@@ -67,7 +67,7 @@ def learning(
 
 
 def _planner(skill: str, options: SkillOptions, course: Course, jobs: int) -> dict[str, float]:
-    """The planner's rates on the contexts that judge; empty where the skill has none."""
+    """The planner's rates on the contexts of the evaluation; empty where the skill has no planner."""
     from crkr.sim_worker.evaluation.oracle import Planner, play_oracle
     from crkr.sim_worker.skill_registry import load_skill
     from crkr.sim_worker.supervisor.progress import Progress
@@ -82,7 +82,7 @@ def _planner(skill: str, options: SkillOptions, course: Course, jobs: int) -> di
 def _result(
     skill: str, options: SkillOptions, course: Course, runs: list[LearningRun], planner: dict[str, float]
 ) -> dict[str, Any]:
-    from crkr.experiments.learning.summary import summarise
+    from crkr.experiments.learning.many_runs import summarise
 
     criteria = dict.fromkeys(name for run in runs for name in run.final.tally.criteria)
     return {
@@ -97,7 +97,7 @@ def _result(
 def _save(out: Path, result: dict[str, Any], runs: list[LearningRun], planner: dict[str, float]) -> None:
     import json as json_format
 
-    from crkr.experiments.figures.learning import draw_learning
+    from crkr.experiments.figures.curves import draw_learning
 
     numbers, figure = (out / name for name in _FILES)
     with output_file(numbers) as partial:

@@ -1,8 +1,13 @@
-"""Many runs of learning, spread over processes, with progress that people can watch."""
+"""Many runs of learning, spread over processes, and their mean success."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+from scipy.stats import t as student
 
 from crkr.client.cli.console import stderr
 from crkr.experiments.learning.run import Course, LearningRun, learn_once
@@ -11,11 +16,11 @@ from crkr.sim_worker.skill import Skill, SkillOptions
 from crkr.sim_worker.supervisor.pool import spread
 from crkr.sim_worker.supervisor.progress import Progress
 
-__all__ = ["learn_many"]
+__all__ = ["Summary", "learn_many", "mean_interval", "summarise"]
 
 
 def learn_many(skill: str, options: SkillOptions, parts: Sequence[tuple[Course, int]], jobs: int) -> list[LearningRun]:
-    """One run a part, each a course and a seed, in the order of the parts; `jobs` at a time change nothing."""
+    """One run for each part, a course and a seed, in order, in `jobs` processes; their number changes no result."""
     runs: dict[int, LearningRun] = {}
     with Progress(stderr, "learning", len(parts), "runs") as progress:
         for place, run in spread(skill, options, _learn, [(place, *part) for place, part in enumerate(parts)], jobs):
@@ -28,3 +33,39 @@ def learn_many(skill: str, options: SkillOptions, parts: Sequence[tuple[Course, 
 def _learn(skill: Skill, part: tuple[int, Course, int]) -> tuple[int, LearningRun]:
     place, course, seed = part
     return place, learn_once(GuardedSkill(skill), course, seed)
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """Success by one criterion over all runs.
+
+    Attributes:
+        mean: Mean success rate of the runs.
+        interval: 95 % interval of that mean; None from a single run.
+        worst: Success rate of the worst run.
+        worst_seed: Seed of the worst run.
+        oracle: The planner's rate on the same contexts; None if it was not played.
+    """
+
+    mean: float
+    interval: tuple[float, float] | None
+    worst: float
+    worst_seed: int
+    oracle: float | None
+
+
+def summarise(runs: Sequence[LearningRun], criterion: str, oracle: float | None) -> Summary:
+    """The final evaluations of all runs that have a criterion, at least one."""
+    judged = [run for run in runs if run.final.tally.judged[criterion]]
+    rates = np.array([run.final.tally.rate(criterion) for run in judged])
+    last = int(np.argmin(rates))
+    return Summary(float(rates.mean()), mean_interval(rates), float(rates[last]), judged[last].seed, oracle)
+
+
+def mean_interval(rates: np.ndarray) -> tuple[float, float] | None:
+    """Student's 95 % interval of the mean of independent runs (n,), within [0, 1]; None for fewer than two."""
+    if len(rates) < 2:
+        return None
+    half = float(student.ppf(0.975, len(rates) - 1) * rates.std(ddof=1) / np.sqrt(len(rates)))
+    return max(0.0, float(rates.mean()) - half), min(1.0, float(rates.mean()) + half)

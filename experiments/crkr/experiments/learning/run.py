@@ -1,4 +1,4 @@
-"""One whole run of learning in one process: demonstrations, training trials, judgement on fresh contexts."""
+"""One run of learning in one process: demonstrations, training trials, evaluation in fresh contexts."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from hashlib import sha256
-from typing import Any, Final, Protocol, final
+from typing import Any, Final, final
 from uuid import UUID
 
 import numpy as np
@@ -17,7 +17,7 @@ from crkr.protocol import TaskSpec, training_id
 from crkr.sim_worker.randomness import demonstration_rng, evaluation_rng, fresh_rng, training_rng
 from crkr.sim_worker.skill import Skill
 
-__all__ = ["MARKS", "Course", "LearningRun", "Score", "learn_once", "taught"]
+__all__ = ["MARKS", "Course", "LearningRun", "Score", "learn_once", "trained_learner"]
 
 MARKS: Final = (0, 25, 50, 100, 200, 300, 500, 750, 1000, 1250)  # much is learned early
 
@@ -25,17 +25,17 @@ MARKS: Final = (0, 25, 50, 100, 200, 300, 500, 750, 1000, 1250)  # much is learn
 @final
 @dataclass(frozen=True, slots=True)
 class Course:
-    """What every run does.
+    """The settings of a run.
 
     Attributes:
         trials: Training trials, refused goals included.
-        contexts: Fresh contexts of the final judgement.
-        judge: Seed of these contexts; the same for every run, and those of `crkr evaluate` with this seed.
-        demonstrations: How many start the learner.
-        marks: Training trials after which a learning curve has a point, besides the last one; empty: there is no curve.
-            Watching changes nothing else.
-        watched: Contexts behind each of its points, the task's fixed ones.
-        settings: Fields of the skill's specification that are others here.
+        contexts: Fresh contexts of the final evaluation.
+        judge: Seed of these contexts, the same for every run; `crkr evaluate` with this seed has the same ones.
+        demonstrations: Number of demonstrations before the first trial.
+        marks: Training trials after which the learning curve has a point, besides the last one; empty: no curve. The
+            curve changes nothing else.
+        watched: Contexts of each of its points, the task's fixed ones.
+        settings: Fields of the skill's specification that differ.
     """
 
     trials: int
@@ -50,12 +50,12 @@ class Course:
 @final
 @dataclass(frozen=True, slots=True)
 class Score:
-    """A policy without exploration, judged.
+    """An evaluation of the policy without exploration.
 
     Attributes:
-        trials: Training trials that it had learned from.
+        trials: Training trials that the policy had learned from.
         tally: The contexts that were played.
-        reasons: How they ended, by the skill's words.
+        reasons: How they ended, in the skill's words.
     """
 
     trials: int
@@ -64,7 +64,7 @@ class Score:
 
     @property
     def contexts(self) -> int:
-        """How many were played."""
+        """Number of contexts that were played."""
         return self.tally.trials
 
     def to_dict(self) -> dict[str, Any]:
@@ -76,15 +76,15 @@ class Score:
 @final
 @dataclass(frozen=True, slots=True)
 class LearningRun:
-    """What one seed gave.
+    """The result of one seed.
 
     Attributes:
-        seed: Of demonstrations, contexts and exploration.
-        final: The judgement after the last trial.
-        curve: Scores on fewer contexts on the way, the last one after the last trial; empty if not watched.
-        training: How the training trials ended, by the skill's words.
-        filled: Training trials after which there were more samples to learn from than the budget; None: never.
-        digest: SHA-256 over every training trial's state, goal and cost: equal for runs that are bitwise the same.
+        seed: Seed of demonstrations, contexts and exploration.
+        final: The evaluation after the last trial.
+        curve: Scores on fewer contexts during the run, the last one after the last trial; empty without marks.
+        training: How the training trials ended, in the skill's words.
+        filled: Training trials after which more samples were eligible than the budget; None: never.
+        digest: SHA-256 over state, goal and cost of every training trial: equal for bitwise equal runs.
     """
 
     seed: int
@@ -100,16 +100,8 @@ class LearningRun:
         return {**shallow, "final": self.final.to_dict(), "curve": [score.to_dict() for score in self.curve]}
 
 
-class Digest(Protocol):
-    """What hashlib makes."""
-
-    def update(self, data: bytes, /) -> None:
-        """Takes in more bytes."""
-        ...
-
-
 def learn_once(skill: Skill, course: Course, seed: int) -> LearningRun:
-    """Learns by the skill's own specification and judges the result; the same arguments give the same bits."""
+    """Learn by the skill's specification and evaluate the result; the same arguments give the same bits."""
     training, curve, digest = Counter[str](), list[Score](), sha256()
     filled: int | None = None
 
@@ -120,22 +112,26 @@ def learn_once(skill: Skill, course: Course, seed: int) -> LearningRun:
         if course.marks and (trial in course.marks or trial == course.trials):
             curve.append(_judge(skill, learner, trial, course.watched, lambda ball: evaluation_rng(seed, ball)))
 
-    learner = _taught(skill, course, seed, training, digest, watch)
+    learner = _trained_learner(skill, course, seed, training, digest.update, watch)
     final = _judge(skill, learner, course.trials, course.contexts, lambda ball: fresh_rng(course.judge, ball))
     return LearningRun(seed, final, tuple(curve), dict(training.most_common()), filled, digest.hexdigest())
 
 
-def taught(skill: Skill, course: Course, seed: int, show: Callable[[int], object]) -> Learner:
-    """The learner of such a run, before it is judged; `show` is told how many trials were done."""
-    return _taught(skill, course, seed, Counter(), sha256(), lambda _, trial: show(trial))
+def trained_learner(skill: Skill, course: Course, seed: int, show: Callable[[int], object]) -> Learner:
+    """The learner of such a run, before its evaluation; `show` is called with the number of trials done."""
+    return _trained_learner(skill, course, seed, Counter(), _ignore, lambda _, trial: show(trial))
 
 
-def _taught(
+def _ignore(_: bytes) -> None:
+    """Take no digest."""
+
+
+def _trained_learner(
     skill: Skill,
     course: Course,
     seed: int,
     training: Counter[str],
-    digest: Digest,
+    digest: Callable[[bytes], object],
     watch: Callable[[Learner, int], object],
 ) -> Learner:
     learner = Learner(TaskSpec.from_dict({**skill.spec().to_dict(), "seed": seed, **dict(course.settings)}))
@@ -147,20 +143,22 @@ def _taught(
     rng = training_rng(seed, 1)
     for trial in range(course.trials):
         watch(learner, trial)
-        # As a worker's ids are: what is asked between is no matter.
+        # The ids of a worker: exploration does not depend on other questions.
         trial_id = training_id(learner.spec.name, seed, 1, trial + 1)
-        training[_try(skill, learner, rng, trial_id, digest)] += 1
+        training[_execute_trial(skill, learner, rng, trial_id, digest)] += 1
     watch(learner, course.trials)
     return learner
 
 
-def _try(skill: Skill, learner: Learner, rng: np.random.Generator, trial_id: UUID, digest: Digest) -> str:
-    """One training trial; how it ended."""
+def _execute_trial(
+    skill: Skill, learner: Learner, rng: np.random.Generator, trial_id: UUID, digest: Callable[[bytes], object]
+) -> str:
+    """Execute one training trial; returns how it ended."""
     answer = learner.predict(skill.reset(rng), explore=True, trial_ids=trial_id)
     result = skill.execute(answer.goals)
     kind = "trial" if result.executed else "failed"
     success = result.success and result.executed
-    digest.update(np.array([*answer.states, *answer.goals, np.nan if result.cost is None else result.cost]).tobytes())
+    digest(np.array([*answer.states, *answer.goals, np.nan if result.cost is None else result.cost]).tobytes())
     learner.report(answer, cost=result.cost, success=success, kind=kind, outcome=result.outcome)
     return str(result.info.get("reason", "success" if success else "failure"))
 

@@ -1,0 +1,31 @@
+"""Goals of a swing about as demanding as those of training."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from crkr.sim_worker.primitives.stroke import JointLimits
+
+Floats = NDArray[np.float64]
+
+
+class SwingGoal(NamedTuple):
+    """Arguments of `Primitive.trajectory`."""
+
+    start: Floats
+    position: Floats
+    velocity: Floats
+    hit_time: float
+
+
+def draw_goals(limits: JointLimits, rng: np.random.Generator, count: int) -> list[SwingGoal]:
+    """Random goals from mid-range, with a hit after 0.5 to 0.7 s; a limit binds on some 8 % of the joints."""
+    start = 0.5 * (limits.lower + limits.upper)
+    goals = []
+    for _ in range(count):
+        hit_time = float(rng.uniform(0.5, 0.7))
+        distance = rng.normal(size=start.size) * 0.3 * limits.speed * hit_time
+        velocity = np.clip(rng.normal(size=start.size) * 0.4 * limits.speed, -limits.speed, limits.speed)
+        goals.append(SwingGoal(start, np.clip(start + distance, limits.lower, limits.upper), velocity, hit_time))
+    return goals

@@ -11,13 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crkr.protocol import Geom, Invalid, TaskSpec
-from crkr.sim_worker.primitives.demonstrated_profile import demonstrated_profile
+from crkr.sim_worker.primitives.joint_motion import spare_time
+from crkr.sim_worker.primitives.profiles import demonstrated_profile, wind_up
 from crkr.sim_worker.primitives.stroke import Infeasible, JointLimits, JointTrajectory, Primitive
 from crkr.sim_worker.skill import Demonstration, Outcome, SkillOptions
 from crkr.sim_worker.table_tennis.arm.collision import CollisionCheck
 from crkr.sim_worker.table_tennis.arm.dynamics import ACCELERATION_LIMITS, SPEED_LIMITS, Arm
-from crkr.sim_worker.table_tennis.arm.spare_time import spare_time
-from crkr.sim_worker.table_tennis.arm.wind_up import wind_up
 from crkr.sim_worker.table_tennis.ball.launchers import LAUNCHERS, Launcher
 from crkr.sim_worker.table_tennis.environments.environments import ENVIRONMENTS, make_environment, make_predictor
 from crkr.sim_worker.table_tennis.environments.play import Play

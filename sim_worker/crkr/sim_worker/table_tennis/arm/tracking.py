@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from crkr.sim_worker.primitives.joint_trajectory import JointTrajectory
+from crkr.sim_worker.primitives.joint_motion import JointTrajectory
 from crkr.sim_worker.table_tennis.arm.dynamics import Arm
 from crkr.sim_worker.table_tennis.environments.simulation import Gains
 

@@ -7,7 +7,7 @@ from typing import Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from crkr.sim_worker.primitives.joint_trajectory import JointTrajectory
+from crkr.sim_worker.primitives.joint_motion import JointTrajectory
 from crkr.sim_worker.table_tennis.arm.dynamics import Arm
 from crkr.sim_worker.table_tennis.ball.incoming import Incoming
 from crkr.sim_worker.table_tennis.ball.strike import FaceMotion, played

@@ -13,7 +13,7 @@ from typing import Final, NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
-from crkr.sim_worker.primitives.stroke_program import SwingProgram
+from crkr.sim_worker.primitives.quadratic_program import StrokeProgram
 from crkr.sim_worker.table_tennis.arm.collision import MARGIN
 from crkr.sim_worker.table_tennis.arm.dynamics import ACCELERATION_LIMITS, SPEED_LIMITS, Arm
 from crkr.sim_worker.table_tennis.arm.forward_kinematics import Chain, Faces
@@ -71,7 +71,7 @@ class AnalyticBatch:
 
     def __init__(self, arm: Arm) -> None:
         self._chain = Chain(arm)
-        program = SwingProgram(INTERVALS, HIT_INTERVAL, SMOOTHNESS)
+        program = StrokeProgram(INTERVALS, HIT_INTERVAL, SMOOTHNESS)
         self._accelerations = program.spread  # (N, 3): of the swing, per unit of each target
         self._way = program.limited[2 * INTERVALS : 3 * INTERVALS] @ program.spread  # (N, 3)
 

@@ -8,7 +8,7 @@ from typing import Final, Protocol, final
 import numpy as np
 from numpy.typing import NDArray
 
-from crkr.sim_worker.primitives.joint_trajectory import JointTrajectory
+from crkr.sim_worker.primitives.joint_motion import JointTrajectory
 from crkr.sim_worker.table_tennis.arm.dynamics import Paddle
 from crkr.sim_worker.table_tennis.ball.flight import Ball, Curl
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crkr.protocol import Trace
-from crkr.sim_worker.primitives.joint_trajectory import JointTrajectory
+from crkr.sim_worker.primitives.joint_motion import JointTrajectory
 from crkr.sim_worker.table_tennis.environments.play import Play
 from crkr.sim_worker.table_tennis.environments.simulation import Simulation
 from crkr.sim_worker.table_tennis.tracker import Verdict, rally

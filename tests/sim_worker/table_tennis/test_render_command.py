@@ -60,7 +60,7 @@ def test_a_stored_trial_is_played_again_to_the_bit(
     status, _, log = start_command(*words, "--environment", "contact", str(tmp_path / "b.png")).finish()
     told = " ".join(log.split())
     assert status == 0, log
-    assert f"the log says {result.info['reason']}, cost {result.cost:.4f}: the environment or the skill was" in told
+    assert f"the log says {result.info['reason']}, cost {result.cost:.4f}: environment or skill differ" in told
 
 
 def test_a_trial_in_which_nothing_moved_has_no_picture(

@@ -58,8 +58,13 @@ def render(
     if out.suffix == ".mp4":
         require("av")
 
-    from crkr.sim_worker.table_tennis.pictures.stored_trial import compared, stored_trial
-    from crkr.sim_worker.table_tennis.pictures.trial_picture import check_kind, planned, render_trial
+    from crkr.sim_worker.table_tennis.pictures.trial_picture import (
+        check_kind,
+        compared,
+        planned,
+        render_trial,
+        stored_trial,
+    )
 
     check_kind(out, sequence=sequence, slow=slow)
     check_output(out, overwrite=overwrite)

@@ -19,8 +19,8 @@ from crkr.sim_worker.table_tennis.arm.collision import CollisionCheck
 from crkr.sim_worker.table_tennis.arm.dynamics import ACCELERATION_LIMITS, SPEED_LIMITS, Arm
 from crkr.sim_worker.table_tennis.ball.launchers import LAUNCHERS, Launcher
 from crkr.sim_worker.table_tennis.environments.environments import ENVIRONMENTS, make_environment, make_predictor
-from crkr.sim_worker.table_tennis.environments.play import Play
-from crkr.sim_worker.table_tennis.environments.simulation import Diverged, Simulation
+from crkr.sim_worker.table_tennis.environments.play import Diverged, Play
+from crkr.sim_worker.table_tennis.environments.simulation import Simulation
 from crkr.sim_worker.table_tennis.pictures.trace import Motion, motion, trace
 from crkr.sim_worker.table_tennis.planner import HOME, Planner
 from crkr.sim_worker.table_tennis.spec import SPARE_TIME, task_spec

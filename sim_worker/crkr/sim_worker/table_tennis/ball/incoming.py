@@ -16,7 +16,7 @@ from crkr.sim_worker.table_tennis.ball.constants import (
     TABLE_RESTITUTION,
 )
 from crkr.sim_worker.table_tennis.ball.flight import STEP, Ball, Curl, bounce, curl_of, fly, fly_to_height
-from crkr.sim_worker.table_tennis.environments.simulation import Diverged
+from crkr.sim_worker.table_tennis.environments.play import Diverged
 
 __all__ = ["FreeBall", "Incoming"]
 

@@ -74,7 +74,7 @@ def test_ten_faults_in_a_row_are_the_end() -> None:
         ("spec raises", r"spec: KeyError: 'goal'"),
         ("spec a map", r"spec must return a TaskSpec; got dict"),
         ("demonstrations raises", r"demonstrations: ZeroDivisionError"),
-        ("demonstrations a pair", r"demonstrations: TypeError: a Demonstration is wanted; number 0 is a tuple"),
+        ("demonstrations a pair", r"demonstrations: TypeError: demonstration 0 must be a Demonstration; got tuple"),
     ],
 )
 def test_another_fault_says_where_it_is(fault: str, complaint: str) -> None:
@@ -156,3 +156,13 @@ def test_a_policy_of_a_skill_that_always_raises_is_not_judged(
     assert status == 1
     assert "failed 10 times in a row" in log.splitlines()[-1]
     assert "Traceback" not in log
+
+
+def test_a_skill_of_three_methods_lacks_demonstrations_and_scene() -> None:
+    bare, whole = (GuardedSkill(load_skill(f"reaching:{make}", SkillOptions())) for make in ("make_bare", "make"))
+    assert (whole.can_demonstrate, list(whole.lacks)) == (True, [])
+    assert not bare.can_demonstrate
+    assert [line.partition(":")[0] for line in bare.lacks] == ["no demonstrations", "no scene"]
+    assert list(bare.scene()) == []
+    with pytest.raises(SkillFault, match="Bare has no demonstrations"):
+        bare.demonstrations(1, np.random.default_rng(0))

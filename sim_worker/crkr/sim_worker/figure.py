@@ -31,7 +31,7 @@ def check_figure(path: Path, *, overwrite: bool) -> None:
 
 
 def new_figure(width: float, height: float, dpi: int = 120) -> Figure:
-    """An empty figure of so many inches."""
+    """An empty figure; width and height in inches."""
     return Figure(figsize=(width, height), dpi=dpi, layout="constrained")
 
 

@@ -12,7 +12,7 @@ from matplotlib.image import imread
 
 from crkr.client import Client, Task
 from crkr.protocol import TaskSpec
-from crkr.sim_worker.skill import Outcome, SkillOptions
+from crkr.sim_worker.skill import SkillOptions, TrialResult
 from crkr.sim_worker.table_tennis.table_tennis import TableTennis
 
 
@@ -26,7 +26,7 @@ def replayed(client: Client, hybrid: TableTennis) -> Task:
     return client.create_task(hybrid.spec())
 
 
-def _store(task: Task, skill: TableTennis, bend: float) -> tuple[UUID, Outcome]:
+def _store(task: Task, skill: TableTennis, bend: float) -> tuple[UUID, TrialResult]:
     """A trial as a worker stores it, of a planned goal with the first joint `bend` away."""
     state = skill.reset(np.random.default_rng(5))
     plan = skill.plan(state)

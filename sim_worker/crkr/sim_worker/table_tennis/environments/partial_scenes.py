@@ -18,7 +18,7 @@ Floats = NDArray[np.float64]
 
 @final
 class BallAlone:
-    """The same physics without the arm: what a ball does that nobody hits.
+    """The same physics without the arm: a ball that is not hit.
 
     Args:
         magnus: Whether a spinning ball is lifted.

@@ -16,7 +16,7 @@ from crkr.sim_worker.table_tennis.environments.simulation import Simulation
 from crkr.sim_worker.table_tennis.pictures.film import Picture
 from crkr.sim_worker.table_tennis.pictures.trace import Motion
 
-__all__ = ["Artist", "save_picture", "save_sequence"]
+__all__ = ["SceneRenderer", "save_picture", "save_sequence"]
 
 CAMERA: Final = "side"  # of the scene
 HIT: Final = 3  # which of the six moments is the hit time
@@ -27,7 +27,7 @@ RETURNED: Final = np.array([1.0, 0.45, 0.05, 1.0], dtype=np.float32)
 
 
 @final
-class Artist:
+class SceneRenderer:
     """Draws the scene. Use as a context manager; one object serves one thread.
 
     Args:
@@ -103,7 +103,7 @@ class Artist:
             scene.ngeom += 1
 
 
-def save_picture(artist: Artist, motion: Motion, path: Path) -> None:
+def save_picture(artist: SceneRenderer, motion: Motion, path: Path) -> None:
     """Saves six moments in one picture as a .png, the arm solid at the hit time and see-through at the others.
 
     Raises:
@@ -119,7 +119,7 @@ def save_picture(artist: Artist, motion: Motion, path: Path) -> None:
         picture.save(partial)
 
 
-def save_sequence(artist: Artist, motion: Motion, path: Path) -> None:
+def save_sequence(artist: SceneRenderer, motion: Motion, path: Path) -> None:
     """Saves six moments one beside the other, numbered and with their times, in two rows, as a .png.
 
     Raises:

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from crkr.client import Task
 from crkr.protocol import Invalid, Trial
 from crkr.sim_worker.randomness import fresh_rng
-from crkr.sim_worker.skill import Outcome
+from crkr.sim_worker.skill import TrialResult
 from crkr.sim_worker.table_tennis.environments.simulation import Simulation
 from crkr.sim_worker.table_tennis.pictures.film import FILMS, save_film
-from crkr.sim_worker.table_tennis.pictures.renderer import Artist, save_picture, save_sequence
+from crkr.sim_worker.table_tennis.pictures.renderer import SceneRenderer, save_picture, save_sequence
 from crkr.sim_worker.table_tennis.table_tennis import TableTennis
 
 __all__ = ["check_kind", "compared", "planned", "render_trial", "stored_trial"]
@@ -62,7 +62,7 @@ def render_trial(
     height: int = 720,
     sequence: bool = False,
     slow: float = 1.0,
-) -> Outcome:
+) -> TrialResult:
     """Plays a goal against a ball, draws it and saves what was drawn.
 
     Args:
@@ -87,8 +87,8 @@ def render_trial(
     motion = skill.film(state, goal, PICTURE_INTERVAL if path.suffix == ".png" else 1 / (RATE * slow))
     outcome = skill.attempt(state, goal)
     if motion is None:
-        raise Invalid(f"nothing moved, so there is nothing to draw: the goal is refused ({outcome.info['reason']})")
-    with Artist(Simulation(), width, height) as artist:
+        raise Invalid(f"nothing to draw, as nothing moved: the goal is refused ({outcome.info['reason']})")
+    with SceneRenderer(Simulation(), width, height) as artist:
         if sequence:
             save_sequence(artist, motion, path)
         elif path.suffix == ".png":
@@ -113,7 +113,7 @@ def stored_trial(task: Task, trial_id: UUID) -> Trial:
     raise Invalid(f"task {task.name!r} has no trial {trial_id}; crkr explain and the dashboard show ids")
 
 
-def compared(trial: Trial, again: Outcome) -> str:
+def compared(trial: Trial, again: TrialResult) -> str:
     """Says whether playing a trial again gave what was measured the first time."""
     reason, cost = again.info["reason"], again.cost
     if _same(trial, again):
@@ -126,7 +126,7 @@ def compared(trial: Trial, again: Outcome) -> str:
     )
 
 
-def _same(trial: Trial, again: Outcome) -> bool:
+def _same(trial: Trial, again: TrialResult) -> bool:
     if trial.outcome is not None and again.outcome is not None:  # costs may have been corrected since
         return bool(np.array_equal(trial.outcome, again.outcome, equal_nan=True))
     return trial.cost == again.cost

@@ -3,21 +3,21 @@
 import pytest
 
 from crkr.protocol import Unsupported
-from crkr.sim_worker.demo import requirements
+from crkr.sim_worker.demo import settings
 
 
 def test_nothing_is_missing_here() -> None:
-    requirements.check_equipment(dashboard=True)
+    settings.check_extras(dashboard=True)
 
 
 def test_all_missing_extras_stand_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(requirements, "SIGNS", {"server": "no_such_a", "sim": "no_such_b", "dashboard": "no_such_c"})
+    monkeypatch.setattr(settings, "PACKAGES", {"server": "no_such_a", "sim": "no_such_b", "dashboard": "no_such_c"})
     with pytest.raises(Unsupported, match=r"server, sim, dashboard: pip install 'crkr\[server,sim,dashboard\]'"):
-        requirements.check_equipment(dashboard=True)
+        settings.check_extras(dashboard=True)
     with pytest.raises(Unsupported, match=r"server, sim: pip"):
-        requirements.check_equipment(dashboard=False)
+        settings.check_extras(dashboard=False)
 
 
 def test_a_missing_dashboard_alone_is_left_to_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(requirements, "SIGNS", {"server": "numpy", "sim": "numpy", "dashboard": "no_such_c"})
-    requirements.check_equipment(dashboard=True)
+    monkeypatch.setattr(settings, "PACKAGES", {"server": "numpy", "sim": "numpy", "dashboard": "no_such_c"})
+    settings.check_extras(dashboard=True)

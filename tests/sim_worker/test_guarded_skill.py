@@ -130,7 +130,7 @@ def test_a_skill_that_is_of_no_use_ends_the_run_with_one_line(
     assert complaint in log.splitlines()[-1]
 
 
-def test_a_skill_that_prints_and_moves_is_in_nobodys_way(train: Start, task: Task) -> None:
+def test_a_skill_may_print_change_folder_and_start_threads(train: Start, task: Task) -> None:
     command = train("make_loud", "")
     status, output, log = command.finish()
     assert status == 0, log

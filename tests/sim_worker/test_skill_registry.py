@@ -1,4 +1,4 @@
-"""Finding skills."""
+"""Skills by name."""
 
 import os
 import subprocess
@@ -67,7 +67,7 @@ def test_a_skill_of_ones_own_is_found_by_its_file(monkeypatch: pytest.MonkeyPatc
         (":", "names no module"),
     ],
 )
-def test_a_name_that_cannot_be_one_is_told_how_skills_are_named(
+def test_a_malformed_name_is_refused_with_the_right_form(
     monkeypatch: pytest.MonkeyPatch, name: str, complaint: str
 ) -> None:
     monkeypatch.chdir(HERE)
@@ -126,7 +126,7 @@ threading.Thread(target=threading.Event().wait).start()
     assert done.stdout.startswith("{")
 
 
-def test_what_a_skill_prints_is_not_in_the_way_of_what_the_command_prints(tmp_path: Path) -> None:
+def test_a_skills_prints_go_to_standard_error(tmp_path: Path) -> None:
     (tmp_path / "loud.py").write_text(
         f"import sys\nsys.path.append({str(HERE)!r})\nprint('loading')\nfrom reaching import make"
     )

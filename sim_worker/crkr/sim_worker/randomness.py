@@ -1,4 +1,4 @@
-"""Which random numbers go where: every stream is a function of a seed and of what it is for.
+"""Random number streams: each is a function of a seed and of its purpose.
 
 `SeedSequence` pads entropy with zeros, so streams of one seed differ by a last word that is never zero.
 """

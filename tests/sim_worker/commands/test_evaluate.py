@@ -41,7 +41,7 @@ def test_rates_and_intervals_are_those_of_the_policy(start_command: Start, finis
     assert (result["contexts"], result["seed"], result["recorded"]) == (CONTEXTS, 4, 0)
 
 
-def test_the_planner_and_the_rate_before_learning_stand_beside(start_command: Start, finished_run: Any) -> None:
+def test_the_planner_and_the_rate_before_learning_are_reported_too(start_command: Start, finished_run: Any) -> None:
     result = evaluate(start_command, finished_run.endpoint, "--jobs", "1").result()
     assert result["oracle"] == {"near": 1.0, "exact": 1.0}
     before = finished_run.report["epochs"][0]

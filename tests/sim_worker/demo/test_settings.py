@@ -1,4 +1,4 @@
-"""A demo names everything that it lacks, at once."""
+"""A demo names all extras that it lacks at once."""
 
 import pytest
 
@@ -10,7 +10,7 @@ def test_nothing_is_missing_here() -> None:
     settings.check_extras(dashboard=True)
 
 
-def test_all_missing_extras_stand_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_line_names_all_missing_extras(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(settings, "PACKAGES", {"server": "no_such_a", "sim": "no_such_b", "dashboard": "no_such_c"})
     with pytest.raises(Unsupported, match=r"server, sim, dashboard: pip install 'crkr\[server,sim,dashboard\]'"):
         settings.check_extras(dashboard=True)

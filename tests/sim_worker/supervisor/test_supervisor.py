@@ -155,7 +155,7 @@ def test_two_supervisors_that_start_together_share_five_demonstrations(train: St
     assert 600 <= trained(task) <= 604  # what both had under way at the end
 
 
-def test_two_supervisors_with_one_seed_do_not_stand_in_each_others_way(train: Start, task: Task) -> None:
+def test_two_supervisors_with_one_seed_both_complete(train: Start, task: Task) -> None:
     both = [train("-n", "1", "--trials", "100", "--seed", "3") for _ in range(2)]
     results = [command.result() for command in both]
     assert all(result["workers_lost"] == 0 for result in results)

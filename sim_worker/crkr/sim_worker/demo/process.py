@@ -47,7 +47,7 @@ class DemoProcess:
         self._interrupted = False
         command = [sys.executable, "-m", "crkr.sim_worker.demo.process", *arguments]
         with self.log.open("ab") as errors, self._output.open("wb") as output:
-            # A session of its own: the terminal's Ctrl-C reaches the demo only, which ends its children in order.
+            # A session of its own: the terminal's Ctrl-C reaches only the demo, which ends its processes in order.
             self._process = subprocess.Popen(
                 command, stdin=subprocess.PIPE, stdout=output, stderr=errors, start_new_session=True
             )
@@ -100,7 +100,7 @@ class DemoProcess:
         if self._process.stdin is not None:
             self._process.stdin.close()
         try:
-            os.killpg(self._process.pid, signal.SIGKILL)  # what it may have started and left behind
+            os.killpg(self._process.pid, signal.SIGKILL)  # processes that it may have left
         except ProcessLookupError:
             return
 

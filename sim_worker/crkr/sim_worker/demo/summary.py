@@ -17,7 +17,7 @@ __all__ = ["DemoResult", "print_summary", "script"]
 @final
 @dataclass(frozen=True, slots=True)
 class DemoResult:
-    """How a demo went.
+    """The result of a demo.
 
     Attributes:
         summary: Plain data, as `--json` prints it.

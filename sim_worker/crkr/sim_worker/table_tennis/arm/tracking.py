@@ -33,7 +33,7 @@ class Gains(NamedTuple):
 
 
 def controls(arm: Arm, gains: Gains, swing: JointTrajectory, times: Floats) -> Floats:
-    """Actuator controls (n, 6) [N m] at `times` (n,) [s] from the swing's start; scene.xml has the law they enter."""
+    """Actuator controls (n, 6) [N m] at `times` (n,) [s] from the swing's start; scene.xml has the control law."""
     position, velocity, _ = swing.sample(times)
     return np.asarray(gains.stiffness * position + gains.damping * velocity + _feed_forward(arm, swing, times))
 

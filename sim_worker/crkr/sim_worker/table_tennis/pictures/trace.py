@@ -1,4 +1,4 @@
-"""A trial for people to look at: body poses and the ball's path at about film rate."""
+"""A trial as displays show it: body poses and the ball's path at about film rate."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ from crkr.client.tally import Tally, success_by_criterion
 from crkr.learner import Learner
 from crkr.protocol import TaskSpec, training_id
 from crkr.sim_worker.randomness import demonstration_rng, evaluation_rng, fresh_rng, training_rng
-from crkr.sim_worker.skill import Skill
+from crkr.sim_worker.skill import Skill, SkillWithDemonstrations
 
 __all__ = ["MARKS", "Course", "LearningRun", "Score", "learn_once", "trained_learner"]
 
@@ -100,7 +100,7 @@ class LearningRun:
         return {**shallow, "final": self.final.to_dict(), "curve": [score.to_dict() for score in self.curve]}
 
 
-def learn_once(skill: Skill, course: Course, seed: int) -> LearningRun:
+def learn_once(skill: SkillWithDemonstrations, course: Course, seed: int) -> LearningRun:
     """Learn by the skill's specification and evaluate the result; the same arguments give the same bits."""
     training, curve, digest = Counter[str](), list[Score](), sha256()
     filled: int | None = None
@@ -117,7 +117,9 @@ def learn_once(skill: Skill, course: Course, seed: int) -> LearningRun:
     return LearningRun(seed, final, tuple(curve), dict(training.most_common()), filled, digest.hexdigest())
 
 
-def trained_learner(skill: Skill, course: Course, seed: int, show: Callable[[int], object]) -> Learner:
+def trained_learner(
+    skill: SkillWithDemonstrations, course: Course, seed: int, show: Callable[[int], object]
+) -> Learner:
     """The learner of such a run, before its evaluation; `show` is called with the number of trials done."""
     return _trained_learner(skill, course, seed, Counter(), _ignore, lambda _, trial: show(trial))
 
@@ -127,7 +129,7 @@ def _ignore(_: bytes) -> None:
 
 
 def _trained_learner(
-    skill: Skill,
+    skill: SkillWithDemonstrations,
     course: Course,
     seed: int,
     training: Counter[str],

@@ -4,20 +4,16 @@ Start the service in another terminal, then, in this repository's folder, let tw
 
     crkr server
     crkr workers examples.reach:make -n 2 --trials 400
-    crkr evaluate reach --skill examples.reach:make --balls 500
+    crkr evaluate reach --skill examples.reach:make --contexts 500
 
-The learner knows nothing of links. By how much the hand was off is declared as an outcome, so misses teach too.
+The learner knows nothing of links. The distance by which the hand missed is an outcome, so misses teach too.
 """
 
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from crkr.protocol import Geom, TaskSpec, Trace
-from crkr.sim_worker.skill import Demonstration, Outcome, SkillOptions
-
-Floats = NDArray[np.float64]
+from crkr.sim_worker.skill import Demonstration, Floats, Geom, SkillOptions, TaskSpec, Trace, TrialResult
 
 UPPER, FORE = 0.5, 0.4  # lengths of the links [m]
 NEAR = 0.02  # [m]
@@ -39,32 +35,32 @@ SPEC = {
 
 
 class Reach:
-    """Five methods make a skill; `crkr.sim_worker.skill` says what each is given and gives."""
+    """`spec`, `reset` and `execute` make a skill, the other methods are optional; see `crkr.sim_worker.skill`."""
 
     def __init__(self, options: SkillOptions) -> None:
         self._options = options
         self._point = np.zeros(2)
 
     def spec(self) -> TaskSpec:
-        """What is learned, under the name and the seed that were asked for."""
+        """The task, with the name and the seed that the command asks for."""
         return TaskSpec.from_dict({**SPEC, "name": self._options.name or "reach", "seed": self._options.seed})
 
     def reset(self, rng: np.random.Generator) -> Floats:
-        """Another point to reach for."""
+        """Draws a point to reach for."""
         self._point = rng.uniform([0.3, -0.3], [0.7, 0.3])
         return self._point.copy()
 
-    def execute(self, goal: Floats) -> Outcome:
-        """Your robot goes here: moves to the joint angles and measures where the hand is."""
+    def execute(self, goal: Floats) -> TrialResult:
+        """Moves to the joint angles and measures the hand's position: replace this by your robot."""
         trace = swing(goal)
         off = trace.paths["hand"][-1, :2] - self._point
         distance = float(np.hypot(*off))
         success = distance < NEAR
         info = {"reason": "reached" if success else "missed"}
-        return Outcome(float(1 - np.exp(-distance / 0.1)), success, True, off, info, trace)
+        return TrialResult(float(1 - np.exp(-distance / 0.1)), success, True, off, info, trace)
 
     def demonstrations(self, count: int, rng: np.random.Generator) -> Sequence[Demonstration]:
-        """By the law of cosines; on a robot they are taught by hand."""
+        """Optional: goals that work, here by the law of cosines; on a robot they are taught by hand."""
         shown = []
         for _ in range(count):
             x, y = state = self.reset(rng)
@@ -75,7 +71,7 @@ class Reach:
         return shown
 
     def scene(self) -> Sequence[Geom]:
-        """Two links, for the viewer; the poses are in each trial's trace."""
+        """Optional: the two links, for the viewer; their poses are in each trial's trace."""
         return [link("upper", UPPER), link("fore", FORE)]
 
 
@@ -110,5 +106,5 @@ def link(body: str, length: float) -> Geom:
 
 
 def make(options: SkillOptions) -> Reach:
-    """What `crkr workers` calls, once in each of its processes."""
+    """Makes the skill; `crkr workers` calls this once in each process."""
     return Reach(options)

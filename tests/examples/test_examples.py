@@ -90,6 +90,14 @@ def test_a_skill_of_ones_own_learns_from_misses_too(server: Any) -> None:
         return answer
 
     crkr("workers", "examples.reach:make", "-n", "2", "--trials", "400", "--seed", "1")
-    judged = crkr("evaluate", "reach", "--skill", "examples.reach:make", "--balls", "500", "--seed", "7")
+    judged = crkr("evaluate", "reach", "--skill", "examples.reach:make", "--contexts", "500", "--seed", "7")
     assert judged["before_learning"]["success"] <= 0.5
     assert judged["success"] >= 0.75, "with the plain exploration, which learns from successes only, it is below 0.3"
+
+
+def test_the_example_of_a_stroke_passes_its_goal_and_says_why_another_is_refused() -> None:
+    command = [sys.executable, str(EXAMPLES / "stroke.py")]
+    result = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert result.returncode == 0, result.stderr
+    assert re.search(r"^ +0\.50 +0\.500 +0\.900 +1\.200 +-0\.800$", result.stdout, re.MULTILINE)
+    assert "a hit after 0.2 s is refused (out_of_reach): joint 0: goal position cannot be reached" in result.stdout

@@ -100,7 +100,7 @@ def start_command(tmp_path: Path, processes: Any) -> Iterator[StartCommand]:
 
 @dataclass(frozen=True, slots=True)
 class FinishedRun:
-    """What a run with one launcher left on a server that still answers."""
+    """What a run with one supervisor left on a server that still answers."""
 
     endpoint: str
     report: dict[str, Any]

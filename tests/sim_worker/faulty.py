@@ -1,4 +1,4 @@
-"""A skill that does what no skill may, for tests; the launcher's name says which fault."""
+"""A skill that breaks its contract, for tests; the launcher's name says how."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from crkr.sim_worker.skill import Outcome, SkillOptions
+from crkr.sim_worker.skill import SkillOptions, TrialResult
 
 _reaching = importlib.import_module("reaching")
 
@@ -29,22 +29,22 @@ class Scalar:
         return self._value
 
 
-def raises(error: BaseException) -> Callable[[Outcome], Outcome]:
-    def spoil(result: Outcome) -> Outcome:
+def raises(error: BaseException) -> Callable[[TrialResult], TrialResult]:
+    def spoil(result: TrialResult) -> TrialResult:
         raise error
 
     return spoil
 
 
-def gives(value: Any) -> Callable[[Outcome], Any]:
+def gives(value: Any) -> Callable[[TrialResult], Any]:
     return lambda _: value
 
 
-def has(**fields: Any) -> Callable[[Outcome], Outcome]:
+def has(**fields: Any) -> Callable[[TrialResult], TrialResult]:
     return lambda result: replace(result, **fields)
 
 
-RESULTS: Final[dict[str, Callable[[Outcome], Any]]] = {
+RESULTS: Final[dict[str, Callable[[TrialResult], Any]]] = {
     "raises": raises(RuntimeError("joint 3 stalled\nat 0.2 rad")),
     "leaves": raises(SystemExit(3)),
     "panics": raises(BaseException("a binding's panic")),

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from crkr.protocol import Geom, Invalid, TaskSpec, Trace
-from crkr.sim_worker.skill import Demonstration, Floats, Outcome, SkillOptions
+from crkr.sim_worker.skill import Demonstration, Floats, SkillOptions, TrialResult
 
 REACH = 0.35
 REFUSED_BEYOND = 1.15
@@ -40,9 +40,9 @@ class Reaching:
         self._state = rng.uniform(-1.0, 1.0, 2)
         return self._state.copy()
 
-    def execute(self, goal: Floats) -> Outcome:
+    def execute(self, goal: Floats) -> TrialResult:
         if np.hypot(*goal) > REFUSED_BEYOND * math.sqrt(2):
-            return Outcome(None, False, False, None, {"reason": "out of reach"}, None)
+            return TrialResult(None, False, False, None, {"reason": "out of reach"}, None)
         distance = float(np.hypot(*(goal - right_goal(self._state))))
         marks = {"near": distance < REACH, "exact": distance < REACH / 4}
         info = {"reason": "reached" if marks["near"] else "missed", "outcomes": marks}
@@ -54,7 +54,7 @@ class Reaching:
             np.tile([0.0, 0.0, 0.0, 1.0], (5, 1, 1)),
             {"hand": path},
         )
-        return Outcome(1.0 - math.exp(-distance), marks["near"], True, None, info, trace)
+        return TrialResult(1.0 - math.exp(-distance), marks["near"], True, None, info, trace)
 
     def demonstrations(self, count: int, rng: np.random.Generator) -> Sequence[Demonstration]:
         found = []
@@ -79,12 +79,20 @@ def right_goal(state: Floats) -> Floats:
     return np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]]) @ state
 
 
+class Bare:
+    """Reaching with the three methods that every skill has, and no more."""
+
+    def __init__(self, options: SkillOptions) -> None:
+        whole = Reaching(options)
+        self.spec, self.reset, self.execute = whole.spec, whole.reset, whole.execute
+
+
 class Unmoved(Reaching):
     """Executes nothing, so that the model stays what the demonstrations made it."""
 
-    def execute(self, goal: Floats) -> Outcome:
+    def execute(self, goal: Floats) -> TrialResult:
         del goal  # Unused.
-        return Outcome(None, False, False, None, {"reason": "out of reach"}, None)
+        return TrialResult(None, False, False, None, {"reason": "out of reach"}, None)
 
 
 class Stuck(Reaching):
@@ -94,7 +102,7 @@ class Stuck(Reaching):
         super().__init__(options)
         self._left = 40
 
-    def execute(self, goal: Floats) -> Outcome:
+    def execute(self, goal: Floats) -> TrialResult:
         self._left -= 1
         if self._left < 0:
             threading.Event().wait()
@@ -103,6 +111,10 @@ class Stuck(Reaching):
 
 def make(options: SkillOptions) -> Reaching:
     return Reaching(options)
+
+
+def make_bare(options: SkillOptions) -> Bare:
+    return Bare(options)
 
 
 def make_unmoved(options: SkillOptions) -> Reaching:

@@ -74,7 +74,7 @@ def test_ten_faults_in_a_row_are_the_end() -> None:
         ("spec raises", r"spec: KeyError: 'goal'"),
         ("spec a map", r"spec must return a TaskSpec; got dict"),
         ("demonstrations raises", r"demonstrations: ZeroDivisionError"),
-        ("demonstrations a pair", r"demonstrations: TypeError: a Demonstration is wanted; number 0 is a tuple"),
+        ("demonstrations a pair", r"demonstrations: TypeError: demonstration 0 must be a Demonstration; got tuple"),
     ],
 )
 def test_another_fault_says_where_it_is(fault: str, complaint: str) -> None:
@@ -130,7 +130,7 @@ def test_a_skill_that_is_of_no_use_ends_the_run_with_one_line(
     assert complaint in log.splitlines()[-1]
 
 
-def test_a_skill_that_prints_and_moves_is_in_nobodys_way(train: Start, task: Task) -> None:
+def test_a_skill_may_print_change_folder_and_start_threads(train: Start, task: Task) -> None:
     command = train("make_loud", "")
     status, output, log = command.finish()
     assert status == 0, log
@@ -156,3 +156,13 @@ def test_a_policy_of_a_skill_that_always_raises_is_not_judged(
     assert status == 1
     assert "failed 10 times in a row" in log.splitlines()[-1]
     assert "Traceback" not in log
+
+
+def test_a_skill_of_three_methods_lacks_demonstrations_and_scene() -> None:
+    bare, whole = (GuardedSkill(load_skill(f"reaching:{make}", SkillOptions())) for make in ("make_bare", "make"))
+    assert (whole.can_demonstrate, list(whole.lacks)) == (True, [])
+    assert not bare.can_demonstrate
+    assert [line.partition(":")[0] for line in bare.lacks] == ["no demonstrations", "no scene"]
+    assert list(bare.scene()) == []
+    with pytest.raises(SkillFault, match="Bare has no demonstrations"):
+        bare.demonstrations(1, np.random.default_rng(0))

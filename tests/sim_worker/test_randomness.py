@@ -36,7 +36,7 @@ def test_a_stream_is_a_function_of_its_seed(stream: Callable[[int], np.random.Ge
     assert stream(5).integers(2**62) == stream(5).integers(2**62) != stream(6).integers(2**62)
 
 
-def test_workers_of_a_launcher_have_seeds_of_their_own() -> None:
+def test_workers_of_a_supervisor_have_seeds_of_their_own() -> None:
     seeds = {worker_seed(seed, index) for seed in range(20) for index in range(20)}
     assert len(seeds) == 400
     assert all(0 <= seed < 2**31 for seed in seeds)

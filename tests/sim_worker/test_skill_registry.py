@@ -1,4 +1,4 @@
-"""Finding skills."""
+"""Skills by name."""
 
 import os
 import subprocess
@@ -58,7 +58,7 @@ def test_a_skill_of_ones_own_is_found_by_its_file(monkeypatch: pytest.MonkeyPatc
     [
         (":make", "names no module; skills are named module:factory"),
         ("reaching:", "names no factory"),
-        ("reaching", "reaching.py is named with its factory, as reaching.py:make"),
+        ("reaching", "name reaching.py with its factory, as reaching.py:make"),
         ("./no_such_file:make", "there is no file"),
         ("no_such_file.py:make", "there is no file"),
         (".reaching:make", "no module's name"),
@@ -67,7 +67,7 @@ def test_a_skill_of_ones_own_is_found_by_its_file(monkeypatch: pytest.MonkeyPatc
         (":", "names no module"),
     ],
 )
-def test_a_name_that_cannot_be_one_is_told_how_skills_are_named(
+def test_a_malformed_name_is_refused_with_the_right_form(
     monkeypatch: pytest.MonkeyPatch, name: str, complaint: str
 ) -> None:
     monkeypatch.chdir(HERE)
@@ -92,7 +92,12 @@ def test_a_file_whose_name_another_module_has_is_refused(tmp_path: Path) -> None
         ("make = 3", "has no factory 'make'"),
         ("def make(options): raise SystemExit(0)", "its factory raised SystemExit: 0"),
         ("def make(options): return options.wings", "its factory raised AttributeError"),
-        ("def make(): ...", "its factory raised TypeError"),
+        ("def make(): ...", "is no factory of a skill: it cannot be called with SkillOptions (make() takes 0"),
+        (
+            "from os import system as make",
+            "is no factory of a skill: it cannot be called with SkillOptions",
+        ),
+        ("def make(options): return 1 + None", "its factory raised TypeError: unsupported operand"),
         ("def make(options): ...", "its factory made a NoneType, which has no method spec or reset or execute"),
         ("class make:\n def __init__(self, options): pass\n def reset(self, rng): ...", "no method spec or execute"),
     ],
@@ -121,7 +126,7 @@ threading.Thread(target=threading.Event().wait).start()
     assert done.stdout.startswith("{")
 
 
-def test_what_a_skill_prints_is_not_in_the_way_of_what_the_command_prints(tmp_path: Path) -> None:
+def test_a_skills_prints_go_to_standard_error(tmp_path: Path) -> None:
     (tmp_path / "loud.py").write_text(
         f"import sys\nsys.path.append({str(HERE)!r})\nprint('loading')\nfrom reaching import make"
     )

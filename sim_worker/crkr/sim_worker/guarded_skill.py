@@ -1,4 +1,4 @@
-"""A skill as its user wrote it, kept from ending its worker: its faults become failed trials, or one line."""
+"""A user's skill behind checks: its faults become failed trials, or end the run with one line."""
 
 from __future__ import annotations
 
@@ -17,28 +17,28 @@ import numpy as np
 from crkr.client.tally import success_by_criterion
 from crkr.protocol import CrkrError, Geom, TaskSpec, Trace, Trial
 from crkr.protocol.checks import finite_array
-from crkr.sim_worker.skill import Demonstration, Floats, Outcome, Skill
+from crkr.sim_worker.skill import Demonstration, Floats, HasDemonstrations, HasPlanner, HasScene, Skill, TrialResult
 
-__all__ = ["GuardedSkill", "SkillFault", "guarded_plan", "keep_standard_output", "told", "users_code"]
+__all__ = ["GuardedSkill", "SkillFault", "guarded_plan", "keep_standard_output", "one_line", "skill_code"]
 
 logger = logging.getLogger(__name__)
 
 MOST_FAULTS: Final = 10
-"""Failures of `execute` in a row after which it is of no use to go on."""
+"""Failures of `execute` in a row that end the run."""
 
 LONGEST: Final = 300
 NOBODY: Final = UUID(int=0)
 
 
 class SkillFault(CrkrError):
-    """A skill did what no skill may; the message says which part of it, and where."""
+    """A skill failed or broke its contract; the message names the method and the line of code."""
 
 
 @contextmanager
-def users_code(fault: Callable[[BaseException], NoReturn]) -> Iterator[None]:
-    """Runs code of a skill: what it prints goes to standard error, and whatever it raises, to `fault`.
+def skill_code(fault: Callable[[BaseException], NoReturn]) -> Iterator[None]:
+    """Runs code of a skill: what it prints goes to standard error; what it raises, `SystemExit` included, to `fault`.
 
-    Standard output belongs to a command's result. `SystemExit` is the skill's, not ours; only Ctrl-C passes.
+    Standard output is for the command's result. Only `KeyboardInterrupt` passes.
     """
     try:
         with redirect_stdout(sys.stderr):
@@ -50,13 +50,13 @@ def users_code(fault: Callable[[BaseException], NoReturn]) -> Iterator[None]:
 
 
 def keep_standard_output() -> None:
-    """Sends all that this process prints to standard error, also from libraries in C; for processes of a command."""
+    """Redirects this process's standard output to standard error, for libraries in C too."""
     with suppress(OSError):  # there may be no standard error
         os.dup2(2, 1)
 
 
-def told(error: BaseException) -> str:
-    """An exception in one line: what it is, what it says, and the line of code that raised it."""
+def one_line(error: BaseException) -> str:
+    """An exception in one line: its type, its message, and the line of code that raised it."""
     said = " ".join(str(error).split())[:LONGEST]
     frames = traceback.extract_tb(error.__traceback__)
     where = f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})" if frames else ""
@@ -65,17 +65,17 @@ def told(error: BaseException) -> str:
 
 @final
 class GuardedSkill:
-    """A skill whose results are checked; implements `Skill`.
+    """A skill whose results are checked; implements `Skill`, `HasDemonstrations` and `HasScene`.
 
-    What `execute` raises, or gives that no trial can be, is a failed trial with its reason. Whatever else raises, ends
-    the run with one line.
+    An exception of `execute`, or a result that no trial can hold, gives a failed trial with its reason. An exception of
+    any other method ends the run with one line.
 
     Args:
-        skill: What its user wrote.
+        skill: As its user wrote it.
 
     Raises:
-        SkillFault: Each method but `execute`, for what the skill raised or gave; `execute`, at the tenth failure in a
-            row.
+        SkillFault: By each method, for an exception or a bad result of the skill; by `execute` at the tenth failure in
+            a row.
     """
 
     def __init__(self, skill: Skill) -> None:
@@ -86,9 +86,24 @@ class GuardedSkill:
         self._faults = 0
         self._criteria: tuple[str, ...] = ()
 
+    @property
+    def can_demonstrate(self) -> bool:
+        """Whether the skill has demonstrations."""
+        return isinstance(self._skill, HasDemonstrations)
+
+    @property
+    def lacks(self) -> Sequence[str]:
+        """What the skill does not offer, and what that means for a run; one line each."""
+        lines = []
+        if not self.can_demonstrate:
+            lines.append("no demonstrations: training starts from what the server proposes")
+        if not isinstance(self._skill, HasScene):
+            lines.append("no scene: displays show no shapes")
+        return lines
+
     def spec(self) -> TaskSpec:
         """The skill's specification."""
-        with users_code(self._fault("spec")):
+        with skill_code(self._fault("spec")):
             spec = self._skill.spec()
         if not isinstance(spec, TaskSpec):
             raise SkillFault(f"{self._name}.spec must return a TaskSpec; got {type(spec).__name__}")
@@ -98,12 +113,12 @@ class GuardedSkill:
     def reset(self, rng: np.random.Generator) -> Floats:
         """A new situation's state (d,)."""
         size = len(self._checked_spec.state)
-        with users_code(self._fault("reset")):
+        with skill_code(self._fault("reset")):
             self._state = finite_array(self._skill.reset(rng), "the state", (size,))
         return self._state
 
-    def execute(self, goal: Floats) -> Outcome:
-        """What trying a goal (p,) gave; a fault of the skill is a failed trial."""
+    def execute(self, goal: Floats) -> TrialResult:
+        """The result of a goal (p,); a fault of the skill gives a failed trial."""
         reasons: list[BaseException] = []
         try:
             with redirect_stdout(sys.stderr):
@@ -115,24 +130,28 @@ class GuardedSkill:
             result = self._failed(error)
         self._faults = self._faults + 1 if reasons else 0
         if self._faults >= MOST_FAULTS:
-            raise SkillFault(f"{self._name}.execute failed {self._faults} times in a row: {told(reasons[0])}")
+            raise SkillFault(f"{self._name}.execute failed {self._faults} times in a row: {one_line(reasons[0])}")
         return result
 
     def demonstrations(self, count: int, rng: np.random.Generator) -> Sequence[Demonstration]:
-        """Successful goals."""
-        with users_code(self._fault("demonstrations")):
+        """Successful goals; raises `SkillFault` where the skill has no demonstrations."""
+        if not isinstance(self._skill, HasDemonstrations):
+            raise SkillFault(f"{self._name} has no demonstrations (a method `demonstrations`)")
+        with skill_code(self._fault("demonstrations")):
             shown = list(self._skill.demonstrations(count, rng))
             for number, one in enumerate(shown):
                 self._check_demonstration(number, one)
         return shown
 
     def scene(self) -> Sequence[Geom]:
-        """The shapes for drawing; none where the skill has none that can be drawn."""
+        """The shapes for displays; empty where the skill has none or they cannot be drawn."""
+        if not isinstance(self._skill, HasScene):
+            return []
         try:
             with redirect_stdout(sys.stderr):
                 shapes = list(self._skill.scene())
         except Exception as error:
-            logger.warning("%s.scene: %s; displays show no shapes", self._name, told(error))
+            logger.warning("%s.scene: %s; displays show no shapes", self._name, one_line(error))
             return []
         strange = [type(shape).__name__ for shape in shapes if not isinstance(shape, Geom)]
         if strange:
@@ -146,14 +165,14 @@ class GuardedSkill:
 
     def _fault(self, method: str) -> Callable[[BaseException], NoReturn]:
         def fault(error: BaseException) -> NoReturn:
-            raise SkillFault(f"{self._name}.{method}: {told(error)}") from error
+            raise SkillFault(f"{self._name}.{method}: {one_line(error)}") from error
 
         return fault
 
-    def _checked(self, result: Outcome, goal: Floats) -> Outcome:
-        """The result with plain numbers, if a trial can hold it; raises otherwise."""
-        if not isinstance(result, Outcome):
-            raise TypeError(f"execute must return an Outcome; got {type(result).__name__}")
+    def _checked(self, result: TrialResult, goal: Floats) -> TrialResult:
+        """The result with plain numbers; raises if no trial can hold it."""
+        if not isinstance(result, TrialResult):
+            raise TypeError(f"execute must return a TrialResult; got {type(result).__name__}")
         spec, cost = self._checked_spec, _scalar(result.cost)
         trial = Trial.create(
             spec,
@@ -169,37 +188,37 @@ class GuardedSkill:
         if trial.kind == "trial":
             self._criteria = tuple(success_by_criterion(trial.success, trial.info))
         trace = result.trace if isinstance(result.trace, Trace) else None
-        return Outcome(trial.cost, trial.success, trial.kind == "trial", trial.outcome, trial.info, trace)
+        return TrialResult(trial.cost, trial.success, trial.kind == "trial", trial.outcome, trial.info, trace)
 
-    def _failed(self, error: BaseException) -> Outcome:
-        """A trial that met none of the criteria that those before were judged by."""
+    def _failed(self, error: BaseException) -> TrialResult:
+        """A failed trial, which meets none of the criteria of the trials before it."""
         if not self._faults:
-            logger.warning("%s.execute: %s; the trial counts as failed", self._name, told(error))
-            logger.debug("where it was raised", exc_info=error)
-        info: dict[str, Any] = {"reason": f"error: {type(error).__name__}", "error": told(error)}
+            logger.warning("%s.execute: %s; the trial counts as failed", self._name, one_line(error))
+            logger.debug("traceback", exc_info=error)
+        info: dict[str, Any] = {"reason": f"error: {type(error).__name__}", "error": one_line(error)}
         if self._criteria != ("success",):
             info["outcomes"] = dict.fromkeys(self._criteria, False)
-        return Outcome(None, False, False, None, info, None)
+        return TrialResult(None, False, False, None, info, None)
 
     def _check_demonstration(self, number: int, one: Demonstration) -> None:
         if not isinstance(one, Demonstration):
-            raise TypeError(f"a Demonstration is wanted; number {number} is a {type(one).__name__}")
-        if not isinstance(one.result, Outcome) or not isinstance(one.result.info, Mapping):
-            raise TypeError(f"the result of demonstration {number} must be an Outcome with a map of info")
+            raise TypeError(f"demonstration {number} must be a Demonstration; got {type(one).__name__}")
+        if not isinstance(one.result, TrialResult) or not isinstance(one.result.info, Mapping):
+            raise TypeError(f"the result of demonstration {number} must be a TrialResult with a map of info")
         finite_array(one.state, f"the state of demonstration {number}", (len(self._checked_spec.state),))
         finite_array(one.goal, f"the goal of demonstration {number}", (len(self._checked_spec.goal),))
 
 
-def guarded_plan(planner: Any, state: Floats) -> dict[str, bool]:
-    """Success of a planner's best plan for a state (d,) by criterion; raises `SkillFault` for whatever it raises."""
+def guarded_plan(planner: HasPlanner, state: Floats) -> dict[str, bool]:
+    """Success of a skill's best plan for a state (d,), by criterion; raises `SkillFault` for any exception of it."""
 
     def fault(error: BaseException) -> NoReturn:
-        raise SkillFault(f"{type(planner).__name__}.best_plan: {told(error)}") from error
+        raise SkillFault(f"{type(planner).__name__}.best_plan: {one_line(error)}") from error
 
-    with users_code(fault):
+    with skill_code(fault):
         return {str(name): bool(met) for name, met in planner.best_plan(state).items()}
 
 
 def _scalar(value: Any) -> Any:
-    """A number or truth value out of an array without axes, also of another library's."""
+    """The number or truth value in an array without axes, NumPy's or another library's."""
     return value.item() if hasattr(value, "item") and np.ndim(value) == 0 else value

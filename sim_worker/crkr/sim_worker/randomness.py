@@ -1,4 +1,4 @@
-"""Which random numbers go where: every stream is a function of a seed and of what it is for.
+"""Random number streams: each is a function of a seed and of its purpose.
 
 `SeedSequence` pads entropy with zeros, so streams of one seed differ by a last word that is never zero.
 """
@@ -17,14 +17,14 @@ _FRESH: Final = 3
 _WORKERS: Final = 4
 
 
-def evaluation_rng(seed: int, ball: int) -> np.random.Generator:
-    """Draws context `ball` of a task's fixed evaluation set."""
-    return np.random.default_rng([seed, ball])
+def evaluation_rng(seed: int, context: int) -> np.random.Generator:
+    """Draws context number `context` of a task's fixed evaluation set."""
+    return np.random.default_rng([seed, context])
 
 
-def fresh_rng(seed: int, ball: int) -> np.random.Generator:
-    """Draws context `ball` of an evaluation by `crkr evaluate`: never one of the fixed set."""
-    return np.random.default_rng([seed, ball, _FRESH])
+def fresh_rng(seed: int, context: int) -> np.random.Generator:
+    """Draws context number `context` of an evaluation by `crkr evaluate`: never one of the fixed set."""
+    return np.random.default_rng([seed, context, _FRESH])
 
 
 def demonstration_rng(seed: int) -> np.random.Generator:
@@ -33,7 +33,7 @@ def demonstration_rng(seed: int) -> np.random.Generator:
 
 
 def worker_seed(seed: int, index: int) -> int:
-    """The seed of worker `index` of a launcher, below 2^31."""
+    """The seed of worker `index` of a supervisor, below 2^31."""
     return int(np.random.SeedSequence([seed, index, _WORKERS]).generate_state(1)[0] >> 1)
 
 

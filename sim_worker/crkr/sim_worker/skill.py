@@ -1,25 +1,38 @@
-"""What a worker needs of a skill: nothing in server, client or worker knows more about the task than this."""
+"""Everything that a skill needs: what it implements, what it gives and is given. Nothing else knows the task.
+
+A skill is an object with three methods (`Skill`): `spec`, `reset` and `execute`. It may offer more, each for one
+purpose: `demonstrations` to start from (`HasDemonstrations`), a `scene` for displays (`HasScene`), a planner for
+`crkr oracle` (`HasPlanner`) and the options that it chose (`HasOptions`). examples/reach.py is a whole one.
+"""
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from crkr.protocol import Geom, TaskSpec, Trace
+from crkr.protocol import Geom, Invalid, TaskSpec, Trace
 
 __all__ = [
     "Demonstration",
+    "Floats",
     "Geom",
-    "Outcome",
-    "Settled",
+    "HasDemonstrations",
+    "HasOptions",
+    "HasPlanner",
+    "HasScene",
+    "Invalid",
     "Skill",
     "SkillFactory",
     "SkillOptions",
+    "SkillWithDemonstrations",
+    "TaskSpec",
     "Trace",
+    "TrialResult",
     "options_in_force",
 ]
 
@@ -28,12 +41,12 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class SkillOptions:
-    """How a skill is to be set up; None leaves the choice to the skill.
+    """How a skill is set up; None leaves the choice to the skill.
 
     Attributes:
-        environment: Which simulator executes trials, e.g. "contact".
-        launcher: Which distribution contexts are drawn from, e.g. "nominal".
-        preset: Which task specification to use, e.g. "tuned".
+        environment: The simulator that executes trials, e.g. "contact".
+        launcher: The distribution of contexts, e.g. "nominal".
+        preset: The task specification, e.g. "tuned".
         name: Name of the task; None is the skill's own name.
         seed: Seed of the task's exploration draws.
     """
@@ -46,43 +59,43 @@ class SkillOptions:
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class TrialResult:
     """The result of one executed or refused goal.
 
     Attributes:
         cost: In [0, 1]; None where nothing was executed or measured.
-        success: What the skill chose to learn from.
-        executed: False for a goal that was refused or not measurable (kind "failed").
+        success: Whether the trial succeeded, by the criterion that the skill learns from.
+        executed: False for a goal that was refused or could not be measured (kind "failed").
         outcome: (q,) signed measurements, NaN where not observed; None where the spec declares none.
         info: Plain data for the log, e.g. {"reason": "miss", "outcomes": {"paper": False, "strict": False}}.
-        trace: None where nothing moved.
+        trace: The motion, for displays; None where nothing moved.
     """
 
     cost: float | None
     success: bool
     executed: bool
-    outcome: Floats | None
-    info: Mapping[str, Any]
-    trace: Trace | None
+    outcome: Floats | None = None
+    info: Mapping[str, Any] = field(default_factory=dict)
+    trace: Trace | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Demonstration:
-    """A goal that is known to work, with what it cost.
+    """A goal that is known to work.
 
     Attributes:
         state: (d,) the situation.
         goal: (p,) the meta-parameters.
-        result: What executing the goal gave; it was executed and succeeded.
+        result: Of executing the goal; it was executed and succeeded.
     """
 
     state: Floats
     goal: Floats
-    result: Outcome
+    result: TrialResult
 
 
 class Skill(Protocol):
-    """A task that can be tried: draws situations, executes goals, and knows how to demonstrate."""
+    """A task that can be tried: it draws situations and executes goals."""
 
     def spec(self) -> TaskSpec:
         """The task specification that this skill learns under."""
@@ -92,25 +105,48 @@ class Skill(Protocol):
         """Draws a new situation and returns its state (d,); the next `execute` starts from it."""
         ...
 
-    def execute(self, goal: Floats) -> Outcome:
+    def execute(self, goal: Floats) -> TrialResult:
         """Tries a goal (p,) in the situation of the last `reset`; a bad goal gives its reason, no exception.
 
-        Workers take an exception, or a result that no trial can have, for a failed trial; ten in a row end them.
+        An exception, or a result that no trial can hold, counts as a failed trial; ten in a row end the worker.
         """
-        ...
-
-    def demonstrations(self, count: int, rng: np.random.Generator) -> Sequence[Demonstration]:
-        """Demonstrates `count` successful goals for situations drawn from `rng`."""
-        ...
-
-    def scene(self) -> Sequence[Geom]:
-        """The shapes that never change, for drawing."""
         ...
 
 
 @runtime_checkable
-class Settled(Protocol):
-    """What a skill may offer beside `Skill`: what it chose where its options left it the choice."""
+class HasDemonstrations(Protocol):
+    """A skill that can show goals that work."""
+
+    def demonstrations(self, count: int, rng: np.random.Generator, /) -> Sequence[Demonstration]:
+        """Demonstrates `count` successful goals for situations drawn from `rng`."""
+        ...
+
+
+class SkillWithDemonstrations(Skill, HasDemonstrations, Protocol):
+    """A skill that can be tried and shown."""
+
+
+@runtime_checkable
+class HasScene(Protocol):
+    """A skill that displays can draw."""
+
+    def scene(self) -> Sequence[Geom]:
+        """The shapes that never change; each trial's trace has their poses."""
+        ...
+
+
+@runtime_checkable
+class HasPlanner(Protocol):
+    """A skill that can plan from a model of the task, as a reference for what it learned."""
+
+    def best_plan(self, state: Floats, /) -> Mapping[str, bool]:
+        """Whether one of its plans for a state (d,) succeeds, by each criterion."""
+        ...
+
+
+@runtime_checkable
+class HasOptions(Protocol):
+    """A skill that tells what it chose where its options left it the choice."""
 
     @property
     def options(self) -> SkillOptions:
@@ -119,13 +155,23 @@ class Settled(Protocol):
 
 
 def options_in_force(skill: Skill, asked: SkillOptions) -> SkillOptions:
-    """What a skill that was made with `asked` chose; `asked` itself if it does not say."""
-    return skill.options if isinstance(skill, Settled) else asked
+    """The options that a skill made with `asked` runs with; `asked` itself if it does not tell."""
+    return skill.options if isinstance(skill, HasOptions) else asked
 
 
 class SkillFactory(Protocol):
     """What the entry point group `crkr.skills` names."""
 
     def __call__(self, options: SkillOptions) -> Skill:
-        """Makes the skill; raises `crkr.protocol.Invalid` for an option it does not know."""
+        """Makes the skill; raises `Invalid` for an option it does not know."""
         ...
+
+
+if not TYPE_CHECKING:
+
+    def __getattr__(name: str) -> object:
+        """The name that `TrialResult` had before, for one release."""
+        if name == "Outcome":
+            warnings.warn("crkr.sim_worker.skill.Outcome is now called TrialResult", DeprecationWarning, stacklevel=2)
+            return TrialResult
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

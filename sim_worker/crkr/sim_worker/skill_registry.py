@@ -1,10 +1,11 @@
-"""Finding a skill by its installed name, as "package.module:factory", or as "path/to/module.py:factory"."""
+"""Skills by name: installed ones, "package.module:factory", and "path/to/module.py:factory"."""
 
 from __future__ import annotations
 
 import importlib
 import os
 import sys
+import traceback
 from contextlib import chdir
 from dataclasses import dataclass
 from importlib.metadata import entry_points
@@ -12,7 +13,7 @@ from pathlib import Path
 from typing import Any, Final, NoReturn, final
 
 from crkr.protocol import CrkrError, Invalid, TaskSpec
-from crkr.sim_worker.guarded_skill import GuardedSkill, told, users_code
+from crkr.sim_worker.guarded_skill import GuardedSkill, one_line, skill_code
 from crkr.sim_worker.skill import Skill, SkillOptions
 
 __all__ = ["GROUP", "MissingLibrary", "check_skill", "default_task", "installed_skills", "load_skill", "specification"]
@@ -26,29 +27,27 @@ def installed_skills() -> tuple[str, ...]:
 
 
 class MissingLibrary(CrkrError, ModuleNotFoundError):
-    """A skill of one's own imports what is not installed."""
+    """A user's skill imports a package that is not installed."""
 
 
 def check_skill(name: str) -> str:
-    """Returns `name` if it is installed or names a module or a file and its factory; loads nothing.
+    """Returns `name` if it names an installed skill, or a module or file with its factory; loads nothing.
 
     Raises:
-        Invalid: Neither.
+        Invalid: It names neither.
     """
     if ":" in name:
         _Place.of(name)
     elif name not in installed_skills():
         listed = ", ".join(installed_skills()) or "none"
         file = Path(name).with_suffix(".py")
-        found = f"; {file} is named with its factory, as {file}:make" if file.is_file() else ""
-        raise Invalid(
-            f"no skill {name!r}; installed: {listed}; one of your own is given as package.module:factory{found}"
-        )
+        found = f"; name {file} with its factory, as {file}:make" if file.is_file() else ""
+        raise Invalid(f"no skill {name!r}; installed: {listed}; name your own as package.module:factory{found}")
     return name
 
 
 def default_task(name: str) -> str:
-    """Name of a task for a skill, after its module where it is no installed one; raises `Invalid` as `check_skill`."""
+    """Name of a task for a skill: its own, or its module's if it is not installed; raises what `check_skill` raises."""
     check_skill(name)
     return name if ":" not in name else _Place.of(name).module.split(".")[-1].replace("_", "-").lower()
 
@@ -59,10 +58,10 @@ def load_skill(name: str, options: SkillOptions) -> Skill:
     Args:
         name: An installed skill's name; "package.module:factory", looked up from the working directory too; or a file,
             as "path/to/module.py:factory" or "./module:factory".
-        options: How it is to be set up.
+        options: How to set it up.
 
     Raises:
-        Invalid: No such skill, an option that it does not know, or whatever else its module or factory raises.
+        Invalid: There is no such skill, it does not know an option, or its module or factory raises.
         ModuleNotFoundError: A library that the skill needs is not installed.
     """
     factory = _from_module(name) if ":" in name else _from_entry_point(name)
@@ -70,9 +69,13 @@ def load_skill(name: str, options: SkillOptions) -> Skill:
     def fault(error: BaseException) -> NoReturn:
         if isinstance(error, CrkrError | ModuleNotFoundError):
             raise error
-        raise Invalid(f"skill {name!r}: its factory raised {told(error)}") from error
+        if isinstance(error, TypeError) and _was_not_entered(error):
+            raise Invalid(
+                f"{name!r} is no factory of a skill: it cannot be called with SkillOptions ({error})"
+            ) from error
+        raise Invalid(f"skill {name!r}: its factory raised {one_line(error)}") from error
 
-    with users_code(fault):
+    with skill_code(fault):
         skill: Skill = factory(options)
     lacking = [method for method in ("spec", "reset", "execute") if not callable(getattr(skill, method, None))]
     if lacking:
@@ -81,14 +84,19 @@ def load_skill(name: str, options: SkillOptions) -> Skill:
     return skill
 
 
+def _was_not_entered(error: BaseException) -> bool:
+    """Whether the call itself failed, as for `os:system`, rather than code of a factory."""
+    return error.__traceback__ is None or Path(traceback.extract_tb(error.__traceback__)[-1].filename) == Path(__file__)
+
+
 def specification(skill: str, /, **options: Any) -> TaskSpec:
-    """What a skill made with these `SkillOptions` learns under; `crkr create` finds it by its entry point.
+    """The specification of a skill with these `SkillOptions`; `crkr create` finds this function by its entry point.
 
     Raises:
-        Invalid: No such skill, or an option that it does not know.
+        Invalid: There is no such skill, or it does not know an option.
         ModuleNotFoundError: A library that the skill needs is not installed.
     """
-    with chdir(os.getcwd()):  # wherever the skill goes: the command may write a file that it was named before
+    with chdir(os.getcwd()):  # also where the skill changes folder: the command may write to a relative path
         return GuardedSkill(load_skill(skill, SkillOptions(**options))).spec()
 
 
@@ -100,13 +108,13 @@ def _from_entry_point(name: str) -> Any:
 @final
 @dataclass(frozen=True, slots=True)
 class _Place:
-    """Where a skill of one's own is.
+    """Where a user's skill is.
 
     Attributes:
-        folder: To be looked in first.
+        folder: Searched first.
         module: Dotted name.
-        factory: Name in the module.
-        file: The module's file, where the skill was named by that.
+        factory: Its name in the module.
+        file: The module's file, where the skill was named by its file.
     """
 
     folder: Path
@@ -116,7 +124,7 @@ class _Place:
 
     @classmethod
     def of(cls, name: str) -> _Place:
-        """Reads a name with a colon; raises `Invalid` for one that names no module, no factory or no file."""
+        """Reads a name with a colon; raises `Invalid` if the module, the factory or the file is missing."""
         where, _, factory = name.rpartition(":")
         if not where or not factory.isidentifier():
             lacks = "names no module" if not where else "names no factory"
@@ -133,18 +141,18 @@ class _Place:
         return cls(Path.cwd(), where, factory)
 
 
-# Third-party packages that an extra of crkr brings: what lacks one is told which extra to install.
+# Packages that an extra of crkr brings: if one is missing, the command names the extra.
 _OURS: Final = ("PIL", "av", "clarabel", "coal", "matplotlib", "mujoco", "pinocchio", "scipy")
 
 
 def _from_module(name: str) -> Any:
     place = _Place.of(name)
-    if str(place.folder) not in sys.path:  # the `crkr` script, unlike `python -m`, does not look there
+    if str(place.folder) not in sys.path:  # the `crkr` script, unlike `python -m`, does not search it
         sys.path.insert(0, str(place.folder))
 
     def fault(error: BaseException) -> NoReturn:
         if not isinstance(error, ModuleNotFoundError):
-            raise Invalid(f"skill {name!r}: its module cannot be imported: {told(error)}") from error
+            raise Invalid(f"skill {name!r}: its module cannot be imported: {one_line(error)}") from error
         missing = error.name or ""
         if f"{place.module}.".startswith(f"{missing}."):
             raise Invalid(f"skill {name!r}: there is no module {missing!r}") from error
@@ -152,7 +160,7 @@ def _from_module(name: str) -> Any:
             raise error
         raise MissingLibrary(f"skill {name!r}: there is no module {missing!r}, which it imports") from error
 
-    with users_code(fault):
+    with skill_code(fault):
         module = importlib.import_module(place.module)
     origin = getattr(module, "__file__", None)
     if place.file is not None and (origin is None or not place.file.samefile(origin)):

@@ -12,17 +12,17 @@ from crkr.client import Task
 from crkr.sim_worker.randomness import fresh_rng
 
 Start = Callable[..., Any]
-BALLS = 60
+CONTEXTS = 60
 
 
 def evaluate(start_command: Start, endpoint: str, *words: str, task: str = "reaching") -> Any:
-    options = ["--skill", "reaching:make", "--balls", str(BALLS), "--seed", "4", "--connect", endpoint, "--json"]
+    options = ["--skill", "reaching:make", "--contexts", str(CONTEXTS), "--seed", "4", "--connect", endpoint, "--json"]
     return start_command("evaluate", task, *options, *words)
 
 
 def distances(task: Any) -> np.ndarray[Any, Any]:
     """How far the policy's goals are from the right ones in the contexts of seed 4, worked out here."""
-    states = np.array([fresh_rng(4, ball).uniform(-1.0, 1.0, 2) for ball in range(BALLS)])
+    states = np.array([fresh_rng(4, context).uniform(-1.0, 1.0, 2) for context in range(CONTEXTS)])
     turn = math.radians(30.0)
     rotation = np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])
     found: np.ndarray[Any, Any] = np.linalg.norm(task.predict(states).goals - states @ rotation.T, axis=1)
@@ -34,18 +34,18 @@ def test_rates_and_intervals_are_those_of_the_policy(start_command: Start, finis
     miss = distances(finished_run.task)
     for name, reach in (("near", 0.35), ("exact", 0.0875)):
         successes = int((miss < reach).sum())
-        expected = binomtest(successes, BALLS).proportion_ci(0.95, "wilson")
-        assert result[name] == pytest.approx(successes / BALLS)
+        expected = binomtest(successes, CONTEXTS).proportion_ci(0.95, "wilson")
+        assert result[name] == pytest.approx(successes / CONTEXTS)
         assert result["ci95"][name] == pytest.approx([expected.low, expected.high])
-    assert sum(result["reasons"].values()) == BALLS
-    assert (result["balls"], result["seed"], result["recorded"]) == (BALLS, 4, 0)
+    assert sum(result["reasons"].values()) == CONTEXTS
+    assert (result["contexts"], result["seed"], result["recorded"]) == (CONTEXTS, 4, 0)
 
 
-def test_the_planner_and_the_rate_before_learning_stand_beside(start_command: Start, finished_run: Any) -> None:
+def test_the_planner_and_the_rate_before_learning_are_reported_too(start_command: Start, finished_run: Any) -> None:
     result = evaluate(start_command, finished_run.endpoint, "--jobs", "1").result()
     assert result["oracle"] == {"near": 1.0, "exact": 1.0}
     before = finished_run.report["epochs"][0]
-    assert result["before_learning"] == {"near": before["near"], "exact": before["exact"], "balls": 10}
+    assert result["before_learning"] == {"near": before["near"], "exact": before["exact"], "contexts": 10, "balls": 10}
 
 
 def test_nothing_is_stored_unless_asked_for(start_command: Start, task: Task, shared_endpoint: str) -> None:
@@ -55,7 +55,7 @@ def test_nothing_is_stored_unless_asked_for(start_command: Start, task: Task, sh
     evaluate(start_command, shared_endpoint, "--no-oracle", task=task.name).result()
     assert task.status()["samples"] == before
     result = evaluate(start_command, shared_endpoint, "--no-oracle", "--record", task=task.name).result()
-    assert result["recorded"] == BALLS == task.status()["samples"]["evaluation"]
+    assert result["recorded"] == CONTEXTS == task.status()["samples"]["evaluation"]
 
 
 def test_the_environment_that_the_skill_chooses_is_the_same_as_naming_it(
@@ -68,7 +68,7 @@ def test_the_environment_that_the_skill_chooses_is_the_same_as_naming_it(
         for words in ((), ("--environment", "plane"), ("--environment", "other"))
     ]
     assert [result["environment"] for result in results] == ["plane", "plane", "other"]
-    assert [result["recorded"] for result in results] == [BALLS, 0, BALLS]
+    assert [result["recorded"] for result in results] == [CONTEXTS, 0, CONTEXTS]
 
 
 def test_a_skill_of_another_size_is_refused(start_command: Start, finished_run: Any) -> None:
@@ -86,5 +86,12 @@ def test_an_unknown_task_is_one_line(start_command: Start, finished_run: Any) ->
 
 
 def test_the_oracle_plays_the_skills_own_planner(start_command: Start) -> None:
-    result = start_command("oracle", "--skill", "reaching:make", "--balls", "25", "--json").result()
-    assert (result["near"], result["exact"], result["balls"]) == (1.0, 1.0, 25)
+    result = start_command("oracle", "--skill", "reaching:make", "--contexts", "25", "--json").result()
+    assert (result["near"], result["exact"], result["contexts"]) == (1.0, 1.0, 25)
+
+
+def test_the_old_name_of_contexts_still_works_and_says_the_new_one(start_command: Start) -> None:
+    command = start_command("oracle", "--skill", "reaching:make", "--balls", "12", "--json")
+    result = command.result()
+    assert result["contexts"] == result["balls"] == 12
+    assert "warning: --balls is now called --contexts" in command.log.read_text()

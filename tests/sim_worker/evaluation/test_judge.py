@@ -1,4 +1,4 @@
-"""Several launchers train one task: its epochs are judged once, whoever starts, ends or dies."""
+"""Several supervisors train one task: its epochs are judged once, whichever of them starts, ends or dies."""
 
 import signal
 from collections import Counter
@@ -12,13 +12,13 @@ from crkr.protocol import StoredTrial, UnknownTask
 
 Start = Callable[..., Any]
 BALLS = 20
-FOLLOWS = "another launcher has the epochs judged"
-TAKES_OVER = "this launcher has the epochs judged now"
+FOLLOWS = "another supervisor judges the epochs"
+TAKES_OVER = "this supervisor judges the epochs"
 
 
 @pytest.fixture
 def train(start_command: Start, task: Task, shared_endpoint: str) -> Start:
-    """Starts a launcher of one worker on the test's task."""
+    """Starts a supervisor of one worker on the test's task."""
 
     def start(*words: str) -> Any:
         options = ["--task", task.name, "--connect", shared_endpoint, "--evaluations", str(BALLS), "--json"]
@@ -35,14 +35,14 @@ def evaluations(task: Task) -> list[StoredTrial]:
 
 
 def judges(task: Task) -> dict[int, set[str]]:
-    """Launchers whose workers judged each epoch; a worker is named after its launcher's process."""
+    """Supervisors whose workers judged each epoch; a worker is named after its supervisor's process."""
     found: dict[int, set[str]] = {}
     for stored in evaluations(task):
         found.setdefault(stored.trial.info["epoch"], set()).add(str(stored.trial.worker).rsplit("-", 1)[0])
     return found
 
 
-def test_of_two_launchers_that_start_together_one_has_every_epoch_judged_once(train: Start, task: Task) -> None:
+def test_of_two_supervisors_that_start_together_one_has_every_epoch_judged_once(train: Start, task: Task) -> None:
     both = [train("--trials", "1000") for _ in range(2)]
     results = [command.result() for command in both]
     epochs = sorted([epoch["epoch"] for epoch in result["epochs"]] for result in results)
@@ -53,7 +53,7 @@ def test_of_two_launchers_that_start_together_one_has_every_epoch_judged_once(tr
     assert all(result["trials"] > 0 for result in results)
 
 
-def test_the_first_epochs_model_knows_the_demonstrations_only_however_many_launchers(train: Start, task: Task) -> None:
+def test_the_first_epochs_model_knows_the_demonstrations_only(train: Start, task: Task) -> None:
     for command in [train("--trials", "60") for _ in range(2)]:
         command.result()
     first = [stored.trial for stored in evaluations(task) if stored.trial.info["epoch"] == 0]
@@ -61,7 +61,7 @@ def test_the_first_epochs_model_knows_the_demonstrations_only_however_many_launc
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
-def test_when_the_launcher_that_judges_ends_another_takes_over(
+def test_when_the_supervisor_that_judges_ends_another_takes_over(
     number: signal.Signals, train: Start, task: Task, processes: Any
 ) -> None:
     first = train("--seed", "1")
@@ -77,7 +77,7 @@ def test_when_the_launcher_that_judges_ends_another_takes_over(
     assert set(Counter(stored.trial.info["epoch"] for stored in evaluations(task)).values()) == {BALLS}
 
 
-def test_a_launcher_that_judges_nothing_leaves_it_to_the_other(train: Start, task: Task) -> None:
+def test_a_supervisor_that_judges_nothing_leaves_it_to_the_other(train: Start, task: Task) -> None:
     idle = train("--trials", "200", "--evaluations", "0")
     judging = train("--trials", "200")
     assert idle.result()["epochs"] == []

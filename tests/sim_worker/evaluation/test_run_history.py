@@ -42,7 +42,7 @@ def test_an_epoch_is_scored_by_every_criterion_of_the_skill() -> None:
         history.add(stored(ball + 2, "evaluation", strict, epoch=3, ball=ball, trained=151, outcomes=outcomes))
     history.add(stored(9, "evaluation", True, ball=0))  # recorded by hand: of no epoch
     assert [score.to_dict() for score in history.epochs] == [
-        {"epoch": 3, "trials": 151, "paper": 0.75, "strict": 0.25, "balls": 4}
+        {"epoch": 3, "trials": 151, "paper": 0.75, "strict": 0.25, "contexts": 4, "balls": 4}
     ]
 
 

@@ -2,14 +2,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from crkr.sim_worker.primitives.quadratic_program import InteriorPoint, Unsolved
-from crkr.sim_worker.primitives.stroke_program import SwingProgram
+from crkr.sim_worker.primitives.quadratic_program import InteriorPoint, StrokeProgram, Unsolved
 
 N, HIT = 45, 25
 
 
 def test_a_solver_that_fails_says_so_and_serves_the_next_goal() -> None:
-    program = SwingProgram(N, HIT, 20.0)
+    program = StrokeProgram(N, HIT, 20.0)
     solver = InteriorPoint(program)
     targets, bound = np.array([0.2, 0.01, 0.0]), np.repeat([0.012, 0.05, 5.0, 5.0], N)
     before = solver.solve(np.zeros(N), targets, -bound, bound, 0.012)

@@ -9,7 +9,7 @@ STEPS = st.lists(st.sampled_from(["grant", "store", "lose", "store and lose", "p
 
 
 @given(total=st.integers(0, 60), stored=st.integers(0, 60), steps=STEPS)
-def test_one_launcher_meets_the_total_exactly_whatever_is_lost_on_the_way(
+def test_one_supervisor_meets_the_total_exactly_whatever_is_lost_on_the_way(
     total: int, stored: int, steps: list[str]
 ) -> None:
     quota = Quota(total, stored)

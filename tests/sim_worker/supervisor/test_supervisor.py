@@ -1,4 +1,4 @@
-"""`crkr workers` on bad days: lost processes, lost servers, second launchers, signals."""
+"""`crkr workers` on bad days: lost processes, lost servers, second supervisors, signals."""
 
 import json
 import os
@@ -70,7 +70,7 @@ def test_a_total_counts_the_trials_that_others_report_meanwhile(train: Start, ta
     assert result["trained"] == trained(task) == 600
 
 
-def test_when_the_last_worker_is_lost_the_launcher_fails_with_one_line(
+def test_when_the_last_worker_is_lost_the_supervisor_fails_with_one_line(
     train: Start, task: Task, processes: Any
 ) -> None:
     command = train("-n", "2", "--seed", "1")
@@ -129,7 +129,7 @@ def test_what_a_terminal_sends_to_the_whole_group_ends_it_quietly(
     assert "Traceback" not in log
 
 
-def test_nothing_outlives_a_killed_launcher(train: Start, task: Task, processes: Any) -> None:
+def test_nothing_outlives_a_killed_supervisor(train: Start, task: Task, processes: Any) -> None:
     command = train("-n", "2", "--seed", "1", evaluations=10)
     under_way(task, processes, command)
     everyone = processes.descendants(command.process.pid)
@@ -148,21 +148,21 @@ def test_a_run_is_taken_up_where_it_was_left(train: Start, task: Task) -> None:
     assert len(trials(task, "demonstration")) == 5
 
 
-def test_two_launchers_that_start_together_share_five_demonstrations(train: Start, task: Task) -> None:
+def test_two_supervisors_that_start_together_share_five_demonstrations(train: Start, task: Task) -> None:
     both = [train("-n", "1", "--trials", "600") for _ in range(2)]
     results = [command.result() for command in both]
     assert len(trials(task, "demonstration")) == 5 == sum(result["demonstrations"] for result in results)
     assert 600 <= trained(task) <= 604  # what both had under way at the end
 
 
-def test_two_launchers_with_one_seed_do_not_stand_in_each_others_way(train: Start, task: Task) -> None:
+def test_two_supervisors_with_one_seed_both_complete(train: Start, task: Task) -> None:
     both = [train("-n", "1", "--trials", "100", "--seed", "3") for _ in range(2)]
     results = [command.result() for command in both]
     assert all(result["workers_lost"] == 0 for result in results)
     assert sum(result["trials"] for result in results) == trained(task) >= 100
 
 
-def test_a_launcher_with_another_seed_joins_the_task_and_says_whose_seed_counts(train: Start, task: Task) -> None:
+def test_a_supervisor_with_another_seed_joins_the_task_and_says_whose_seed_counts(train: Start, task: Task) -> None:
     train("--trials", "10", "--seed", "1").result()
     second = train("--trials", "20", "--seed", "2")
     assert second.result()["trained"] == 20
@@ -181,6 +181,16 @@ def test_without_demonstrations_there_is_nothing_to_start_from(train: Start, tas
     status, _, log = train("--demonstrations", "0").finish()
     assert status == 1
     assert log.splitlines()[-1].startswith(f"error: task {task.name!r} has nothing to start from")
+
+
+def test_a_skill_of_three_methods_trains_and_says_in_a_line_each_what_it_lacks(train: Start, task: Task) -> None:
+    train("--trials", "1", "--seed", "1").result()
+    command = train("--trials", "20", "--seed", "2", skill="reaching:make_bare", evaluations=5)
+    assert command.result()["trained"] == trained(task) == 20
+    log = command.log.read_text()
+    assert "skill reaching:make_bare has no demonstrations: training starts from what the server proposes\n" in log
+    assert "skill reaching:make_bare has no scene: displays show no shapes\n" in log
+    assert "warning" not in log
 
 
 @pytest.mark.parametrize(

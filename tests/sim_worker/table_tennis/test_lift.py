@@ -6,12 +6,16 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from crkr.sim_worker.primitives import JointLimits, Primitive
 from crkr.sim_worker.skill import SkillOptions
+from crkr.sim_worker.table_tennis.arm.dynamics import ACCELERATION_LIMITS, SPEED_LIMITS, Arm
 from crkr.sim_worker.table_tennis.ball.flight import flight
 from crkr.sim_worker.table_tennis.ball.incoming import FreeBall, Incoming
 from crkr.sim_worker.table_tennis.ball.launchers import LAUNCHERS
+from crkr.sim_worker.table_tennis.environments.environments import make_environment
 from crkr.sim_worker.table_tennis.environments.partial_scenes import BallAlone
-from crkr.sim_worker.table_tennis.environments.play import Play
+from crkr.sim_worker.table_tennis.environments.simulation import Simulation
+from crkr.sim_worker.table_tennis.planner import HOME
 from crkr.sim_worker.table_tennis.table_tennis import TableTennis
 from crkr.sim_worker.table_tennis.tracker import judge
 
@@ -104,7 +108,10 @@ def test_a_return_lands_where_a_second_integrator_has_it(name: str) -> None:
     ball = skill.reset(np.random.default_rng(5))
     plan = skill.plan(ball)
     assert plan is not None
-    play: Play = skill._play(ball, plan[0])[1]
+    goal, arm = plan[0], Arm()
+    limits = JointLimits(arm.lower, arm.upper, SPEED_LIMITS, ACCELERATION_LIMITS)
+    swing = Primitive(limits).trajectory(HOME, goal[:6], goal[6:12], goal[12])
+    play = make_environment(name, arm, Simulation(magnus=True)).play(ball, swing, float(goal[12]))
     assert play.curl is not None
     spin = np.array(play.curl) * MASS / (0.5 * 1.2 * CROSS_SECTION * RADIUS)
     assert np.linalg.norm(spin) > 20
@@ -130,10 +137,10 @@ def test_a_lifted_goal_ends_alike_in_every_environment() -> None:
         plan = skills["analytic"].plan(ball)
         if plan is None:
             continue
-        outcomes = {name: skill.attempt(ball, plan[0]) for name, skill in skills.items()}
-        vectors = {name: outcome.outcome for name, outcome in outcomes.items() if outcome.outcome is not None}
+        results = {name: skill.attempt(ball, plan[0]) for name, skill in skills.items()}
+        vectors = {name: result.outcome for name, result in results.items() if result.outcome is not None}
         costs.append(max(float(np.linalg.norm(vector[:3])) for vector in vectors.values()))
         apart.append(float(np.abs(vectors["hybrid"] - vectors["analytic"]).max()))
-        assert {name: outcome.info["reason"] for name, outcome in outcomes.items()}["hybrid"] == "returned"
+        assert results["hybrid"].info["reason"] == "returned"
     assert np.median(costs) < 0.05
     assert np.max(apart) < 0.05

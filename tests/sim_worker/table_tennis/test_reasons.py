@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from crkr.sim_worker.skill import Outcome, SkillOptions
+from crkr.sim_worker.skill import SkillOptions, TrialResult
 from crkr.sim_worker.table_tennis.arm.dynamics import Arm
 from crkr.sim_worker.table_tennis.ball.constants import FACE_OFFSET, TABLE_HALF_LENGTH, TABLE_HEIGHT
 from crkr.sim_worker.table_tennis.environments.environments import ENVIRONMENTS, make_predictor
@@ -82,7 +82,7 @@ def test_each_end_of_an_executed_trial_happens(arm: Arm, environment: str, reaso
     _plausible(outcome, reason)
 
 
-def _plausible(outcome: Outcome, reason: str) -> None:
+def _plausible(outcome: TrialResult, reason: str) -> None:
     """Where the ball came down, as far as the outcome tells, is where the reason says."""
     assert outcome.outcome is not None
     x, y = outcome.outcome[3] + 0.75, outcome.outcome[4]

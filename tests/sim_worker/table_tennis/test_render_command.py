@@ -12,7 +12,7 @@ from matplotlib.image import imread
 
 from crkr.client import Client, Task
 from crkr.protocol import TaskSpec
-from crkr.sim_worker.skill import Outcome, SkillOptions
+from crkr.sim_worker.skill import SkillOptions, TrialResult
 from crkr.sim_worker.table_tennis.table_tennis import TableTennis
 
 
@@ -26,7 +26,7 @@ def replayed(client: Client, hybrid: TableTennis) -> Task:
     return client.create_task(hybrid.spec())
 
 
-def _store(task: Task, skill: TableTennis, bend: float) -> tuple[UUID, Outcome]:
+def _store(task: Task, skill: TableTennis, bend: float) -> tuple[UUID, TrialResult]:
     """A trial as a worker stores it, of a planned goal with the first joint `bend` away."""
     state = skill.reset(np.random.default_rng(5))
     plan = skill.plan(state)
@@ -60,7 +60,7 @@ def test_a_stored_trial_is_played_again_to_the_bit(
     status, _, log = start_command(*words, "--environment", "contact", str(tmp_path / "b.png")).finish()
     told = " ".join(log.split())
     assert status == 0, log
-    assert f"the log says {result.info['reason']}, cost {result.cost:.4f}: the environment or the skill was" in told
+    assert f"the log says {result.info['reason']}, cost {result.cost:.4f}: environment or skill differ" in told
 
 
 def test_a_trial_in_which_nothing_moved_has_no_picture(

@@ -253,6 +253,6 @@ def _refused(skill: TableTennis, goal: np.ndarray, reason: str) -> None:
     )
 
 
-def test_what_the_skill_chose_is_told() -> None:
+def test_options_in_force_name_the_skills_choices() -> None:
     options = TableTennis(SkillOptions(launcher="medium")).options
     assert (options.environment, options.launcher, options.preset) == ("contact", "medium", "tuned")

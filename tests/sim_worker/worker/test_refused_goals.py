@@ -16,8 +16,8 @@ import zenoh
 from crkr.client import Client
 from crkr.protocol import Internal, TaskSpec
 from crkr.sim_worker import SkillOptions, load_skill
-from crkr.sim_worker.supervisor.pipe import Line
-from crkr.sim_worker.worker.supervisor_link import Orders
+from crkr.sim_worker.supervisor.child_process import MessagePipe
+from crkr.sim_worker.worker.supervisor_link import SupervisorLink
 from crkr.sim_worker.worker.telemetry import Telemetry
 from crkr.sim_worker.worker.trial_loop import Identity, TrialLoop
 
@@ -86,7 +86,7 @@ def loop(rogue: Rogue) -> Iterator[TrialLoop]:
     ours, theirs = Pipe()
     with ours, theirs, Client(rogue.endpoint) as client:
         task = client.task("reaching")
-        yield TrialLoop(task, skill, Identity("one", 7, 1), Orders(Line(ours), 5.0), Telemetry(task, ()))
+        yield TrialLoop(task, skill, Identity("one", 7, 1), SupervisorLink(MessagePipe(ours), 5.0), Telemetry(task, ()))
 
 
 BAD = [[np.nan, 0.0], [0.0, np.inf], [0.0, 1.5000001]]

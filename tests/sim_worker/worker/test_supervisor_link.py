@@ -1,4 +1,4 @@
-"""Orders as they come over a real line."""
+"""Orders as they come over a real pipe."""
 
 from collections.abc import Iterator
 from multiprocessing import Pipe
@@ -6,31 +6,35 @@ from typing import Any
 
 import pytest
 
-from crkr.sim_worker.supervisor.pipe import Line
-from crkr.sim_worker.worker.supervisor_link import Orders, Stopped
+from crkr.sim_worker.supervisor.child_process import MessagePipe
+from crkr.sim_worker.worker.supervisor_link import Stopped, SupervisorLink
+
+Ends = tuple[SupervisorLink, MessagePipe]
 
 
 @pytest.fixture
-def both_ends() -> Iterator[tuple[Orders, Line]]:
-    """A worker's orders, and the launcher's end of its line."""
+def both_ends() -> Iterator[Ends]:
+    """A worker's link, and its supervisor's end of the pipe."""
     ours, theirs = Pipe()
     with ours, theirs:
-        yield Orders(Line(ours), 5.0), Line(theirs)
+        yield SupervisorLink(MessagePipe(ours), 5.0), MessagePipe(theirs)
 
 
-def test_epochs_are_judged_before_trials_and_in_the_order_they_ended(both_ends: tuple[Orders, Line]) -> None:
-    orders, launcher = both_ends
+def test_epochs_are_judged_before_trials_and_in_the_order_they_ended(
+    both_ends: Ends,
+) -> None:
+    link, supervisor = both_ends
     kinds = ["go", "judge", "go", "judge"]
     sent: list[dict[str, Any]] = [{"order": order, "number": number} for number, order in enumerate(kinds)]
     for message in sent:
-        launcher.send(message)
-    assert [orders.next() for _ in sent] == [sent[1], sent[3], sent[0], sent[2]]
-    assert not orders.waiting()
+        supervisor.send(message)
+    assert [link.next_order() for _ in sent] == [sent[1], sent[3], sent[0], sent[2]]
+    assert not link.has_order()
 
 
-def test_stop_overtakes_what_waits(both_ends: tuple[Orders, Line]) -> None:
-    orders, launcher = both_ends
+def test_stop_overtakes_what_waits(both_ends: Ends) -> None:
+    link, supervisor = both_ends
     for order in ("go", "judge", "stop"):
-        launcher.send({"order": order})
+        supervisor.send({"order": order})
     with pytest.raises(Stopped):
-        orders.next()
+        link.next_order()

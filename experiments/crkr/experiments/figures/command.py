@@ -125,14 +125,15 @@ def policy(
 
     Example: crkr experiment policy --vary ball_y --environment analytic
     """
+    from crkr.client.cli.progress import Progress
     from crkr.experiments.learning.run import Course, taught
+    from crkr.sim_worker.guarded_skill import GuardedSkill
     from crkr.sim_worker.skill import SkillOptions
     from crkr.sim_worker.skill_registry import load_skill
-    from crkr.sim_worker.supervisor.progress import Progress
     from crkr.sim_worker.table_tennis.pictures.policy_figure import draw_policy, varied
 
     path = _file(out, "policy.png", overwrite)
-    skill = load_skill("table-tennis", SkillOptions(environment=environment, preset=preset))
+    skill = GuardedSkill(load_skill("table-tennis", SkillOptions(environment=environment, preset=preset)))
     with Progress(stderr, "learning", trials, "trials") as progress:
         learner = taught(skill, Course(trials, 0, _JUDGE, _DEMONSTRATIONS), seed, progress.show)
     index, states = varied(learner.spec, vary, 31, None)

@@ -68,11 +68,12 @@ def learning(
 
 def _planner(skill: str, options: SkillOptions, course: Course, jobs: int) -> dict[str, float]:
     """The planner's rates on the contexts that judge; empty where the skill has none."""
-    from crkr.sim_worker.evaluation.oracle import Planner, play_oracle
+    from crkr.client.cli.progress import Progress
+    from crkr.sim_worker.evaluation.assessment import play_oracle
+    from crkr.sim_worker.skill import HasPlanner
     from crkr.sim_worker.skill_registry import load_skill
-    from crkr.sim_worker.supervisor.progress import Progress
 
-    if not isinstance(load_skill(skill, options), Planner):
+    if not isinstance(load_skill(skill, options), HasPlanner):
         return {}
     with Progress(stderr, "planning", course.contexts, "contexts") as progress:
         won = play_oracle(skill, options, course.contexts, course.judge, jobs=jobs, show=progress.show)

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from crkr.client.cli.console import stderr
+from crkr.client.cli.progress import Progress
 from crkr.experiments.learning.run import Course, LearningRun, learn_once
 from crkr.sim_worker.guarded_skill import GuardedSkill
 from crkr.sim_worker.skill import Skill, SkillOptions
 from crkr.sim_worker.supervisor.pool import spread
-from crkr.sim_worker.supervisor.progress import Progress
 
 __all__ = ["learn_many"]
 

@@ -15,7 +15,7 @@ from crkr.client.tally import Tally, success_by_criterion
 from crkr.learner import Learner
 from crkr.protocol import TaskSpec, training_id
 from crkr.sim_worker.randomness import demonstration_rng, evaluation_rng, fresh_rng, training_rng
-from crkr.sim_worker.skill import Skill
+from crkr.sim_worker.skill import Skill, SkillWithDemonstrations
 
 __all__ = ["MARKS", "Course", "LearningRun", "Score", "learn_once", "taught"]
 
@@ -108,7 +108,7 @@ class Digest(Protocol):
         ...
 
 
-def learn_once(skill: Skill, course: Course, seed: int) -> LearningRun:
+def learn_once(skill: SkillWithDemonstrations, course: Course, seed: int) -> LearningRun:
     """Learns by the skill's own specification and judges the result; the same arguments give the same bits."""
     training, curve, digest = Counter[str](), list[Score](), sha256()
     filled: int | None = None
@@ -125,13 +125,13 @@ def learn_once(skill: Skill, course: Course, seed: int) -> LearningRun:
     return LearningRun(seed, final, tuple(curve), dict(training.most_common()), filled, digest.hexdigest())
 
 
-def taught(skill: Skill, course: Course, seed: int, show: Callable[[int], object]) -> Learner:
+def taught(skill: SkillWithDemonstrations, course: Course, seed: int, show: Callable[[int], object]) -> Learner:
     """The learner of such a run, before it is judged; `show` is told how many trials were done."""
     return _taught(skill, course, seed, Counter(), sha256(), lambda _, trial: show(trial))
 
 
 def _taught(
-    skill: Skill,
+    skill: SkillWithDemonstrations,
     course: Course,
     seed: int,
     training: Counter[str],

@@ -1,4 +1,4 @@
-"""`crkr demo`: all of it on one machine."""
+"""`crkr demo`: server, workers and dashboard on one machine."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from crkr.client.cli.console import print_json, stderr, stdout
 from crkr.client.cli.options import Json
 
 if TYPE_CHECKING:
-    from crkr.sim_worker.demo.session import DemoResult
+    from crkr.sim_worker.demo.summary import DemoResult
 
 __all__ = ["demo"]
 
@@ -26,34 +26,33 @@ def demo(
     trials: Annotated[int, typer.Option(min=0, help="Training trials in all.")] = 1500,
     workers: Annotated[int, typer.Option(min=1, max=256, help="Training processes.")] = 2,
     seed: Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Of demonstrations, contexts and exploration.")] = 0,
-    dashboard: Annotated[bool, typer.Option(help="Run the live viewer beside it; needs the extra 'dashboard'.")] = True,
-    data: Annotated[Path, typer.Option(help="Folder of all it leaves; a run there is resumed.")] = Path("crkr-demo"),
+    dashboard: Annotated[bool, typer.Option(help="Run the live viewer too; needs the extra 'dashboard'.")] = True,
+    data: Annotated[Path, typer.Option(help="Folder for all files; a run there is resumed.")] = Path("crkr-demo"),
     port: Annotated[
         int, typer.Option(min=0, max=65535, help="Loopback port of the server; 0 takes any free one.")
     ] = DEFAULT_PORT,
     skill: Annotated[
-        str, typer.Option(help="What to learn; your own as package.module:factory or file.py:factory.")
+        str, typer.Option(help="Skill to learn; your own as package.module:factory or file.py:factory.")
     ] = "table-tennis",
     stay: Annotated[bool, typer.Option("--stay", help="Keep server and viewer until Enter or Ctrl-C.")] = False,
     json: Json = False,
 ) -> None:
     """Watch a robot learn table tennis, from five demonstrations, on this machine.
 
-    Starts a server, workers and a dashboard as processes of their own,
-    judges the policy on 50 fixed balls after every 50 trials, and ends with
-    a summary, a learning curve and a recording. Ctrl-C ends all of them
-    (status 130); the same command takes the run up again.
+    Starts a server, workers and a dashboard, judges the policy on 50 fixed
+    contexts after every 50 trials, and ends with a summary, a learning curve
+    and a recording. Ctrl-C ends all processes (status 130); the same command
+    resumes the run.
 
     Example: crkr demo --trials 1500 --seed 3
     """
-    from crkr.sim_worker.demo.requirements import check_equipment
+    from crkr.client.cli.progress import Progress
     from crkr.sim_worker.demo.session import run_demo
-    from crkr.sim_worker.demo.settings import DemoSettings
+    from crkr.sim_worker.demo.settings import DemoSettings, check_extras
     from crkr.sim_worker.demo.summary import print_summary, script
     from crkr.sim_worker.skill_registry import check_skill, default_task
-    from crkr.sim_worker.supervisor.progress import Progress
 
-    check_equipment(dashboard)
+    check_extras(dashboard)
     settings = DemoSettings(
         skill=check_skill(skill),
         task=default_task(skill),
@@ -85,7 +84,7 @@ def demo(
     with Progress(stderr, "learning", trials, "trials") as progress:
         result = run_demo(settings, welcome, progress.say, progress.show, finished)
     if result.stopped_by is not None:
-        stderr.print(f"stopped by {result.stopped_by}; the same command takes the run up again")
+        stderr.print(f"stopped by {result.stopped_by}; the same command resumes the run")
     if result.problem is not None:
         stderr.print(f"error: {result.problem}")
     if result.status:
@@ -100,13 +99,13 @@ def _free_port() -> int:
 
 
 def _figure(data: Path) -> Path:
-    """The learning curve, drawn anew when a run is resumed; where no run was, a figure of that name is somebody's."""
+    """File of the learning curve: replaced when a run is resumed; in another folder no existing figure is touched."""
     path = data / "learning-curve.png"
     return path if (data / "logs").is_dir() else _unused(path)
 
 
 def _unused(path: Path) -> Path:
-    """The path, or with the first number that makes it new: what is there is kept."""
+    """The path, with a number if it exists: existing files are kept."""
 
     def candidates() -> Iterator[Path]:
         yield path

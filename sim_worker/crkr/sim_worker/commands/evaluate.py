@@ -13,58 +13,70 @@ from crkr.client.cli.options import Connect, Json, Timeout, ZenohConfig
 if TYPE_CHECKING:
     from crkr.client import Task
 
-__all__ = ["evaluate"]
+__all__ = ["OldContexts", "evaluate"]
 
 EARLY = 1000
-"""The evaluation before learning is among the first so many training trials of the log."""
+"""The evaluation before learning is looked for among this many training trials of the log."""
+
+
+def _renamed(value: int | None) -> int | None:
+    if value is not None:
+        stderr.print("warning: --balls is now called --contexts")
+    return value
+
+
+OldContexts = Annotated[
+    int | None, typer.Option("--balls", min=1, max=1_000_000, hidden=True, callback=_renamed, help="Of --contexts.")
+]
 
 
 def evaluate(
     task: Annotated[str, typer.Argument(help="Name of the task.")],
     skill: Annotated[
         str | None,
-        typer.Option(help="Who plays: a skill, or package.module:factory; the task's name unless given."),
+        typer.Option(help="Skill that executes the goals, or package.module:factory; the task's name unless given."),
     ] = None,
-    balls: Annotated[int, typer.Option(min=1, max=1_000_000, help="How many contexts.")] = 1000,
+    contexts: Annotated[int, typer.Option(min=1, max=1_000_000, help="Number of contexts.")] = 1000,
+    balls: OldContexts = None,
     seed: Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Of the contexts.")] = 0,
-    environment: Annotated[str | None, typer.Option(help="Which simulator, e.g. contact.")] = None,
+    environment: Annotated[str | None, typer.Option(help="Simulator, e.g. contact.")] = None,
     launcher: Annotated[str | None, typer.Option(help="Where contexts come from, e.g. nominal.")] = None,
-    record: Annotated[bool, typer.Option("--record", help="Store the trials as evaluations; else nothing.")] = False,
-    oracle: Annotated[bool, typer.Option(help="Play the same contexts by the skill's planner, if it has one.")] = True,
-    jobs: Annotated[int, typer.Option(min=1, max=256, help="Processes that play.")] = 2,
+    record: Annotated[bool, typer.Option("--record", help="Store the trials as evaluations.")] = False,
+    oracle: Annotated[bool, typer.Option(help="Compare with the skill's planner, if it has one.")] = True,
+    jobs: Annotated[int, typer.Option(min=1, max=256, help="Number of processes.")] = 2,
     connect: Connect = None,
     timeout: Timeout = 30.0,
     zenoh_config: ZenohConfig = None,
     json: Json = False,
 ) -> None:
-    """Judge a task's policy on fresh contexts, without exploration.
+    """Measure how good a task's policy is on fresh contexts, without exploration.
 
-    The contexts are never those of the fixed evaluation set. Rates come with
-    Wilson's 95 % intervals, beside the skill's own planner and the rate
-    before learning.
+    The contexts are never those of the fixed evaluation set. Prints success
+    rates with Wilson's 95 % intervals, those of the skill's own planner, and
+    those before learning.
 
-    Example: crkr evaluate table-tennis --balls 1000 --seed 7
+    Example: crkr evaluate table-tennis --contexts 1000 --seed 7
     """
     import numpy as np
 
     from crkr.client import Client
+    from crkr.client.cli.progress import Progress
     from crkr.sim_worker.evaluation import assessment
     from crkr.sim_worker.guarded_skill import GuardedSkill
     from crkr.sim_worker.skill import SkillOptions, options_in_force
     from crkr.sim_worker.skill_registry import load_skill
-    from crkr.sim_worker.supervisor.progress import Progress
 
-    name = skill or task
+    name, contexts = skill or task, balls or contexts
     options = SkillOptions(environment=environment, launcher=launcher, name=task)
     player = load_skill(name, options)
     chosen = options_in_force(player, options)
     with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
         judged = client.task(task)
-        answers = assessment.ask(judged, GuardedSkill(player), balls, seed)
+        answers = assessment.ask(judged, GuardedSkill(player), contexts, seed)
         goals = np.concatenate([answer.goals for answer in answers])
-        with Progress(stderr, "evaluating", balls, "contexts") as progress:
+        with Progress(stderr, "evaluating", contexts, "contexts") as progress:
             played = assessment.play(
-                name, options, goals, seed, jobs=min(jobs, balls), oracle=oracle, show=progress.show
+                name, options, goals, seed, jobs=min(jobs, contexts), oracle=oracle, show=progress.show
             )
         score = assessment.Assessment()
         for one in played:
@@ -74,7 +86,8 @@ def evaluate(
         result = {
             "task": task,
             **score.to_dict(),
-            "balls": balls,
+            "contexts": contexts,
+            "balls": contexts,  # the old name, for one release
             "seed": seed,
             "environment": chosen.environment,
             "launcher": chosen.launcher,
@@ -99,17 +112,17 @@ def _before(task: Task) -> dict[str, Any] | None:
         if history.trained > EARLY:
             break
     first = next((score for score in history.epochs if score.epoch == 0), None)
-    return None if first is None else {**first.tally.rates(), "balls": first.balls}
+    return None if first is None else {**first.tally.rates(), "contexts": first.contexts, "balls": first.contexts}
 
 
 def _print(result: dict[str, Any], names: Sequence[str]) -> None:
-    stdout.print(f"{result['task']}: {result['balls']} fresh contexts, seed {result['seed']}")
+    stdout.print(f"{result['task']}: {result['contexts']} fresh contexts, seed {result['seed']}")
     before, planner = result["before_learning"] or {}, result["oracle"] or {}
     for name in names:
         low, high = result["ci95"][name]
         line = f"  {name:<10} {result[name]:.1%}  (95 %: {low:.1%} to {high:.1%})"
         line += f", planner {planner[name]:.1%}" if name in planner else ""
-        line += f", before learning {before[name]:.0%} of {before['balls']} fixed contexts" if name in before else ""
+        line += f", before learning {before[name]:.0%} of {before['contexts']} fixed contexts" if name in before else ""
         stdout.print(line)
     reasons = ", ".join(f"{reason} {number}" for reason, number in result["reasons"].items())
     stdout.print(f"  reasons    {reasons}")

@@ -1,4 +1,4 @@
-"""`crkr plot policy`: what a policy does with the paddle."""
+"""`crkr plot policy`: a table tennis policy in Cartesian space."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ def policy(
     task: Annotated[str, typer.Argument(help="Name of a task of table tennis.")],
     vary: Annotated[str, typer.Option(help="State coordinate to vary, e.g. ball_y.")],
     out: Annotated[Path, typer.Option(dir_okay=False, help="A .png, .svg or .pdf.")] = Path("policy.png"),
-    state: Annotated[str | None, typer.Option(help="The other coordinates, in quotes; else mid-range.")] = None,
+    state: Annotated[str | None, typer.Option(help="The other coordinates, in quotes; mid-range unless given.")] = None,
     overwrite: Overwrite = False,
-    points: Annotated[int, typer.Option(min=2, max=1000, help="How many values.")] = 31,
+    points: Annotated[int, typer.Option(min=2, max=1000, help="Number of values.")] = 31,
     connect: Connect = None,
     timeout: Timeout = 5.0,
     zenoh_config: ZenohConfig = None,
 ) -> None:
     """Draw a task's policy in Cartesian space while one coordinate varies.
 
-    Where the paddle meets the ball, how fast and which way it faces, when,
-    and how novel the state is to the model.
+    Shows where and when the paddle meets the ball, how fast it moves, which
+    way it faces, and how novel the state is to the model.
 
     Example: crkr plot policy table-tennis --vary ball_y --out policy.png
     """

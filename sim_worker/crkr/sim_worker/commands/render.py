@@ -20,16 +20,16 @@ __all__ = ["render"]
 
 def render(
     out: Annotated[Path, typer.Argument(help="A .png for moments in one picture, a .mp4 or .gif for a film.")],
-    launcher: Annotated[str | None, typer.Option(help="Where the ball comes from: nominal, medium or wide.")] = None,
-    seed: Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Of the balls, as of crkr evaluate.")] = 0,
-    ball: Annotated[int, typer.Option(min=0, help="Which of them.")] = 0,
-    environment: Annotated[str | None, typer.Option(help="Which simulator, e.g. contact.")] = None,
+    launcher: Annotated[str | None, typer.Option(help="Distribution of balls: nominal, medium or wide.")] = None,
+    seed: Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Of the balls, as for crkr evaluate.")] = 0,
+    ball: Annotated[int, typer.Option(min=0, help="Number of the ball.")] = 0,
+    environment: Annotated[str | None, typer.Option(help="Simulator, e.g. contact.")] = None,
     task: Annotated[str | None, typer.Option(help="Draw what this task's policy does, instead of the planner.")] = None,
     trial: Annotated[str | None, typer.Option(metavar="UUID", help="Draw this stored trial of --task.")] = None,
     skill: Annotated[str, typer.Option(help="Table tennis, or a variant as package.module:factory.")] = "table-tennis",
-    sequence: Annotated[bool, typer.Option("--sequence", help="Moments of a .png one beside the other.")] = False,
+    sequence: Annotated[bool, typer.Option("--sequence", help="Show the moments of a .png side by side.")] = False,
     slow: Annotated[
-        float, typer.Option(min=1.0, max=100.0, help="How many times slower than life a .mp4 or .gif runs.")
+        float, typer.Option(min=1.0, max=100.0, help="Slow motion: a .mp4 or .gif runs this many times slower.")
     ] = 1.0,
     overwrite: Overwrite = False,
     connect: Connect = None,
@@ -39,9 +39,8 @@ def render(
     """Draw one trial of table tennis, in software where there is no graphics card.
 
     Without --task the planner plays, and no server is needed. A stored trial
-    is played again: the log has the ball as it was measured and the goal that
-    was tried; all that moves is simulated anew from there, and what comes out
-    is compared with the log.
+    is simulated again from the ball and the goal in the log, and the result is
+    compared with the log.
 
     Example: crkr render --launcher wide --seed 7 --ball 3 trial.png
     Example: crkr render --trial 2f1c6a1e-6c1f-4b52-9f0e-0d6a3c5b7e11 --slow 4 trial.mp4
@@ -58,26 +57,31 @@ def render(
     if out.suffix == ".mp4":
         require("av")
 
-    from crkr.sim_worker.table_tennis.pictures.stored_trial import compared, stored_trial
-    from crkr.sim_worker.table_tennis.pictures.trial_picture import check_kind, planned, render_trial
+    from crkr.sim_worker.table_tennis.pictures.trial_picture import (
+        check_kind,
+        compared,
+        planned,
+        render_trial,
+        stored_trial,
+    )
 
     check_kind(out, sequence=sequence, slow=slow)
     check_output(out, overwrite=overwrite)
     player = _player(skill, SkillOptions(environment=environment, launcher=launcher))
     if task is None and wanted is None:
-        outcome = render_trial(player, *planned(player, seed, ball), out, sequence=sequence, slow=slow)
-        stderr.print(f"{out}: ball {ball} of seed {seed}, {outcome.info['reason']}")
+        result = render_trial(player, *planned(player, seed, ball), out, sequence=sequence, slow=slow)
+        stderr.print(f"{out}: ball {ball} of seed {seed}, {result.info['reason']}")
         return
     with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
         asked = client.task(task or "table-tennis")
         stored = None if wanted is None else stored_trial(asked, wanted)
         state, goal = _asked(asked, player, seed, ball) if stored is None else (stored.state, stored.goal)
-    outcome = render_trial(player, state, goal, out, sequence=sequence, slow=slow)
+    result = render_trial(player, state, goal, out, sequence=sequence, slow=slow)
     if stored is None:
-        stderr.print(f"{out}: ball {ball} of seed {seed}, {outcome.info['reason']}")
+        stderr.print(f"{out}: ball {ball} of seed {seed}, {result.info['reason']}")
         return
     played = f"played again in {player.options.environment} from the stored ball and goal"
-    stderr.print(f"{out}: trial {stored.id}, {played}: {compared(stored, outcome)}")
+    stderr.print(f"{out}: trial {stored.id}, {played}: {compared(stored, result)}")
 
 
 def _player(name: str, options: SkillOptions) -> TableTennis:
@@ -92,7 +96,7 @@ def _player(name: str, options: SkillOptions) -> TableTennis:
 
 
 def _asked(task: Task, player: TableTennis, seed: int, ball: int) -> tuple[Floats, Floats]:
-    """A state and what the task's policy would do."""
+    """A state, and the goal of the task's policy there."""
     from crkr.sim_worker.randomness import fresh_rng
 
     state = player.reset(fresh_rng(seed, ball))

@@ -19,15 +19,15 @@ Skill = Annotated[
 Workers = Annotated[int, typer.Option("-n", "--workers", min=1, max=256, help="Training processes.")]
 TaskName = Annotated[str | None, typer.Option("--task", help="Name of the task; the skill's own unless given.")]
 Trials = Annotated[
-    int | None, typer.Option(min=0, help="Stop when the task holds so many training trials in all; else run on.")
+    int | None, typer.Option(min=0, help="Training trials in all, after which to stop; no end unless given.")
 ]
-Demonstrations = Annotated[int, typer.Option(min=0, help="Demonstrations that the task must have first.")]
+Demonstrations = Annotated[int, typer.Option(min=0, help="Demonstrations to start from, where the skill has any.")]
 Evaluations = Annotated[
-    int, typer.Option(min=0, max=1024, help="Fixed contexts that judge each epoch of 50 trials; 0 leaves it to others.")
+    int, typer.Option(min=0, max=1024, help="Fixed contexts that judge each epoch of 50 trials; 0 judges none.")
 ]
-Environment = Annotated[str | None, typer.Option(help="Which simulator, e.g. contact.")]
+Environment = Annotated[str | None, typer.Option(help="Simulator, e.g. contact.")]
 LauncherName = Annotated[str | None, typer.Option("--launcher", help="Where contexts come from, e.g. nominal.")]
-Preset = Annotated[str | None, typer.Option(help="Which specification the task is created with, e.g. tuned.")]
+Preset = Annotated[str | None, typer.Option(help="Specification that the task is created with, e.g. tuned.")]
 Seed = Annotated[
     int | None,
     typer.Option(
@@ -37,10 +37,11 @@ Seed = Annotated[
 Patience = Annotated[float, typer.Option(min=0.1, metavar="SECONDS", help="How long the server may be away.")]
 Stall = Annotated[
     float,
-    typer.Option(min=0.1, metavar="SECONDS", help="Kill a worker that makes no progress for so long, and go on."),
+    typer.Option(min=0.1, metavar="SECONDS", help="Kill a worker that makes no progress for this long, and go on."),
 ]
 Wait = Annotated[
-    bool, typer.Option("--wait", help="Let each trial wait for the model; one worker then repeats a run of its seed.")
+    bool,
+    typer.Option("--wait", help="Wait until each trial is learned; one worker then repeats a run of its seed."),
 ]
 
 
@@ -67,18 +68,18 @@ def workers(
     """Let simulated robots learn a skill.
 
     Creates the skill's task, or joins it, records the demonstrations it
-    lacks, and runs trials in as many processes as asked. Ctrl-C ends them
-    all with a summary (status 130; 143 for SIGTERM, 129 for SIGHUP); a run is taken up
-    where it was left.
+    lacks, and runs trials in several processes. Ctrl-C ends them all with a
+    summary (status 130; 143 for SIGTERM, 129 for SIGHUP); the same command
+    resumes the run.
 
     Example: crkr workers table-tennis -n 4 --trials 1500
     """
     from crkr.client import Client
+    from crkr.client.cli.progress import Progress
     from crkr.sim_worker.randomness import unpredictable_seed
     from crkr.sim_worker.skill import SkillOptions
-    from crkr.sim_worker.supervisor.launch import launch
-    from crkr.sim_worker.supervisor.launch_plan import LaunchPlan
-    from crkr.sim_worker.supervisor.progress import Progress
+    from crkr.sim_worker.supervisor.plan import RunPlan
+    from crkr.sim_worker.supervisor.run import run_workers
 
     configure_logging(log_level)
     for number in (signal.SIGTERM, signal.SIGHUP):  # as process 1 of a container they have no default
@@ -87,7 +88,7 @@ def workers(
     options = SkillOptions(environment=environment, launcher=launcher, preset=preset, name=task, seed=seed or 0)
     with Client(connect, zenoh_config=zenoh_config) as client:
         endpoint = client.endpoint
-    plan = LaunchPlan(
+    plan = RunPlan(
         skill=skill,
         options=options,
         endpoint=endpoint,
@@ -104,7 +105,7 @@ def workers(
         log_level=log_level,
     )
     with Progress(stderr, "training", trials, "trials") as progress:
-        report = launch(plan, progress.say, progress.show)
+        report = run_workers(plan, progress.say, progress.show)
     stderr.print(report.sentence())
     if json:
         print_json(report.to_dict())

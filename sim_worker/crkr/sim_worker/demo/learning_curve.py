@@ -17,7 +17,7 @@ COLOURS: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7")
 
 
 def draw_learning_curve(history: RunHistory, title: str, budget: int, path: Path) -> bool:
-    """Writes the figure; False, and no file, where no epoch was judged yet.
+    """Writes the figure; returns False, without a file, if no epoch was judged.
 
     Args:
         history: The run.
@@ -36,7 +36,7 @@ def draw_learning_curve(history: RunHistory, title: str, budget: int, path: Path
         _budget(axes, history, budget)
         axes.set(title=title, xlabel="training trials", ylabel="success on the fixed contexts [%]", ylim=(0.0, 101.0))
         axes.grid(alpha=0.25)
-        # Outside: within the axes there is no corner that every run leaves free.
+        # Outside, since no corner of the axes is free in every run.
         figure.legend(loc="outside lower center", ncols=len(COLOURS), frameon=False)
         save_figure(figure, path)
     return True

@@ -1,4 +1,8 @@
-"""One command of the demo, as a process of its own with a log of its own."""
+"""One command of the demo as a process with a log, which ends when the demo does.
+
+`python -m crkr.sim_worker.demo.process server ...` runs a command that watches its standard input: a pipe whose other
+end only the demo holds, so that it closes even if the demo is killed.
+"""
 
 from __future__ import annotations
 
@@ -6,15 +10,23 @@ import os
 import signal
 import subprocess
 import sys
+import threading
+import time
 from pathlib import Path
-from typing import final
+from typing import Final, final
 
-__all__ = ["Child"]
+from crkr.client.cli.main import main
+
+__all__ = ["DemoProcess"]
+
+PATIENCE_S: Final = 4.0
+"""Time that a command has for its end after the demo is gone [s]."""
+ORPHANED: Final = 3
 
 
 @final
-class Child:
-    """Starts `crkr ARGUMENTS`, tethered to this process.
+class DemoProcess:
+    """Starts `crkr ARGUMENTS`, which ends when this process does.
 
     Args:
         name: For people, e.g. "server"; also of its log.
@@ -33,9 +45,9 @@ class Child:
         self._read_to = self.log.stat().st_size if self.log.exists() else 0
         self._begun = self._read_to
         self._interrupted = False
-        command = [sys.executable, "-m", "crkr.sim_worker.demo.bound_command", *arguments]
+        command = [sys.executable, "-m", "crkr.sim_worker.demo.process", *arguments]
         with self.log.open("ab") as errors, self._output.open("wb") as output:
-            # A session of its own: the terminal's Ctrl-C reaches the demo only, which ends its children in order.
+            # A session of its own: the terminal's Ctrl-C reaches only the demo, which ends its processes in order.
             self._process = subprocess.Popen(
                 command, stdin=subprocess.PIPE, stdout=output, stderr=errors, start_new_session=True
             )
@@ -55,7 +67,7 @@ class Child:
         return complete.decode(errors="replace").splitlines()
 
     def last_words(self) -> str:
-        """Its last error line, else its last line, else that it said nothing."""
+        """Its last error line, else its last line, else a remark that there is none."""
         with self.log.open("rb") as file:
             file.seek(self._begun)
             lines = [line for line in file.read().decode(errors="replace").splitlines() if line.strip()]
@@ -67,13 +79,13 @@ class Child:
         return self._output.read_text(errors="replace", encoding="utf-8")
 
     def interrupt(self) -> None:
-        """Asks it to end, once: a second signal would end `crkr watch` at once, with half a recording."""
+        """Sends SIGINT, once: a second one would end `crkr watch` at once, with half a recording."""
         if not self._interrupted and self._process.poll() is None:
             self._process.send_signal(signal.SIGINT)
             self._interrupted = True
 
     def end(self, patience_s: float) -> bool:
-        """Waits for its end; kills what is left of it after `patience_s` and says False."""
+        """Waits for its end; after `patience_s` kills it and returns False."""
         try:
             self._process.wait(max(0.0, patience_s))
             return True
@@ -82,12 +94,26 @@ class Child:
             self._process.wait()
             return False
         finally:
-            self._cut()
+            self._kill_group()
 
-    def _cut(self) -> None:
+    def _kill_group(self) -> None:
         if self._process.stdin is not None:
             self._process.stdin.close()
         try:
-            os.killpg(self._process.pid, signal.SIGKILL)  # what it may have started and left behind
+            os.killpg(self._process.pid, signal.SIGKILL)  # processes that it may have left
         except ProcessLookupError:
             return
+
+
+def _end_with_demo() -> None:
+    while os.read(0, 4096):
+        continue
+    os.kill(os.getpid(), signal.SIGTERM)
+    time.sleep(PATIENCE_S)
+    os._exit(ORPHANED)
+
+
+if __name__ == "__main__":
+    threading.Thread(target=_end_with_demo, name="demo-watch", daemon=True).start()
+    sys.argv[0] = "crkr"
+    main()

@@ -8,12 +8,12 @@ from collections.abc import Callable
 from typing import Any, Final, final
 
 from crkr.client import Client
+from crkr.client.cli.stop_request import StopRequest
 from crkr.protocol import CrkrError, Unavailable
-from crkr.sim_worker.demo.process import Child
+from crkr.sim_worker.demo.process import DemoProcess
 from crkr.sim_worker.demo.settings import DemoSettings
-from crkr.sim_worker.supervisor.stop_request import StopRequest
 
-__all__ = ["Crew", "DemoFailed"]
+__all__ = ["DemoFailed", "DemoProcesses"]
 
 START_S: Final = 30.0
 REACH_S: Final = 5.0
@@ -29,7 +29,7 @@ class DemoFailed(CrkrError):
 
 
 @final
-class Crew:
+class DemoProcesses:
     """Server, dashboard and workers of one demo.
 
     Args:
@@ -46,10 +46,10 @@ class Crew:
         self.dashboard_lost = False
         self._settings = settings
         self._say = say
-        self._server: Child | None = None
-        self._watch: Child | None = None
-        self._workers: Child | None = None
-        self._hurried: float | None = None
+        self._server: DemoProcess | None = None
+        self._watch: DemoProcess | None = None
+        self._workers: DemoProcess | None = None
+        self._ending_since: float | None = None
 
     def start_server(self, stop: StopRequest, client: Client) -> bool:
         """Starts the server and waits until it answers; False when stopped meanwhile.
@@ -58,7 +58,7 @@ class Crew:
             DemoFailed: It ended, is silent for too long, or listens and cannot be reached.
         """
         settings = self._settings
-        self._server = self._child("server", ["server", "--listen", settings.endpoint, "--data", str(settings.data)])
+        self._server = self._start("server", ["server", "--listen", settings.endpoint, "--data", str(settings.data)])
         deadline = time.monotonic() + START_S
         while not any(" listening on " in line for line in self._server.new_lines()):
             if self._server.status is not None:
@@ -76,10 +76,10 @@ class Crew:
         return True
 
     def start_dashboard(self, stop: StopRequest) -> None:
-        """Starts `crkr watch` and gives it time to record the first trial; the demo does not depend on it."""
+        """Starts `crkr watch` and waits until it can record; the demo goes on without it if it fails."""
         settings = self._settings
         watch = ["watch", settings.task, "--web", "--save", str(settings.recording), "--connect", settings.endpoint]
-        self._watch = self._child("watch", watch)
+        self._watch = self._start("watch", watch)
         deadline = time.monotonic() + START_S
         while self.viewer is None and not self.dashboard_lost and not stop and time.monotonic() < deadline:
             time.sleep(TICK_S)
@@ -90,10 +90,10 @@ class Crew:
         settings = self._settings
         command = ["workers", settings.skill, "--task", settings.task, "--connect", settings.endpoint, "--json"]
         numbers = ["-n", str(settings.workers), "--trials", str(settings.trials), "--seed", str(settings.seed)]
-        self._workers = self._child("workers", [*command, *numbers])
+        self._workers = self._start("workers", [*command, *numbers])
 
     def check(self) -> bool:
-        """Passes on what the processes say; False when the workers are done.
+        """Prints what the processes say; False when the workers are done.
 
         Raises:
             DemoFailed: The server or the workers ended with an error.
@@ -110,7 +110,7 @@ class Crew:
         return self._workers.status is None
 
     def workers_report(self) -> dict[str, Any]:
-        """What `crkr workers` says that it did; empty while it has not said."""
+        """The report of `crkr workers`; empty before its end."""
         try:
             report = json.loads(self._workers.output()) if self._workers else {}
         except json.JSONDecodeError:
@@ -118,9 +118,9 @@ class Crew:
         return report if isinstance(report, dict) else {}
 
     def stop_workers(self, *, hurry: bool = False) -> None:
-        """Ends the workers, if they still run; in a hurry, the dashboard begins to end at the same time."""
+        """Ends the workers if they still run; in a hurry, the dashboard is interrupted at the same time."""
         if hurry:
-            self._hurried = self._hurried or time.monotonic()
+            self._ending_since = self._ending_since or time.monotonic()
             if self._watch is not None:
                 self._watch.interrupt()
         if self._workers is not None:
@@ -129,15 +129,15 @@ class Crew:
             self._echo(self._workers)
 
     def stop_rest(self, *, hurry: bool) -> None:
-        """Ends dashboard and server; without hurry, the recording may take its time to be written."""
-        rest = [child for child in (self._watch, self._server) if child is not None]
-        for child in rest:
-            child.interrupt()
+        """Ends dashboard and server; without hurry, there is time to write a long recording."""
+        rest = [process for process in (self._watch, self._server) if process is not None]
+        for process in rest:
+            process.interrupt()
         now = time.monotonic()
-        deadline = (self._hurried or now) + END_S if hurry else now + RECORDING_S
-        for child in rest:
-            if not child.end(deadline - time.monotonic()):
-                self._say(f"warning: {child.name} did not end in time and was killed")
+        deadline = (self._ending_since or now) + END_S if hurry else now + RECORDING_S
+        for process in rest:
+            if not process.end(deadline - time.monotonic()):
+                self._say(f"warning: {process.name} did not end in time and was killed")
         self._watch = self._server = None
 
     def _check_dashboard(self) -> None:
@@ -151,10 +151,10 @@ class Crew:
             self.dashboard_lost = True
             self._say(f"warning: the dashboard is gone ({self._watch.last_words()}); learning goes on without it")
 
-    def _echo(self, child: Child) -> None:
-        for line in child.new_lines():
+    def _echo(self, process: DemoProcess) -> None:
+        for line in process.new_lines():
             if line.startswith(ECHOED):
                 self._say(line)
 
-    def _child(self, name: str, arguments: list[str]) -> Child:
-        return Child(name, arguments, self._settings.logs)
+    def _start(self, name: str, arguments: list[str]) -> DemoProcess:
+        return DemoProcess(name, arguments, self._settings.logs)

@@ -1,12 +1,18 @@
-"""What a demo is asked to do, and where it puts things."""
+"""The settings of a demo, and the extras that it needs installed."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
-from typing import final
+from typing import Final, final
 
-__all__ = ["DemoSettings"]
+from crkr.protocol import Unsupported
+
+__all__ = ["DemoSettings", "check_extras"]
+
+PACKAGES: Final = {"server": "scipy", "sim": "mujoco", "dashboard": "rerun"}
+"""One package of each extra, which shows that the extra is installed."""
 
 
 @final
@@ -15,16 +21,16 @@ class DemoSettings:
     """A demo's settings.
 
     Attributes:
-        skill: What is learned.
-        task: Under which name.
+        skill: Skill to be learned.
+        task: Name of the task.
         trials: Training trials that the task is to hold in all.
         workers: Training processes.
         seed: Of task, demonstrations and workers.
         data: Folder for everything; the server's data directory too.
         recording: File that `crkr watch` records to.
         figure: File of the learning curve.
-        endpoint: Where its server listens.
-        dashboard: Whether `crkr watch` runs beside.
+        endpoint: Endpoint of its server.
+        dashboard: Whether to run `crkr watch`.
         stay: Keep server and viewer after the run until Enter or Ctrl-C.
     """
 
@@ -44,3 +50,14 @@ class DemoSettings:
     def logs(self) -> Path:
         """Folder of the processes' logs."""
         return self.data / "logs"
+
+
+def check_extras(dashboard: bool) -> None:
+    """Raises `Unsupported`, which names every extra that a demo lacks, with or without its dashboard."""
+    needed = [extra for extra in PACKAGES if dashboard or extra != "dashboard"]
+    missing = [extra for extra in needed if find_spec(PACKAGES[extra]) is None]
+    if missing == ["dashboard"]:
+        return  # the demo runs without it, and says so
+    if missing:
+        extras = ",".join(missing)
+        raise Unsupported(f"crkr demo needs the extras {', '.join(missing)}: pip install 'crkr[{extras}]'")

@@ -1,4 +1,4 @@
-"""Judges a task's policy on many fresh contexts: one question to the server, then execution in several processes."""
+"""A policy, or a skill's own planner, on many fresh contexts, executed in several processes."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from crkr.client import Task
 from crkr.client.tally import Tally, success_by_criterion
 from crkr.protocol import MAX_STATES, Invalid, Prediction, Trial, task_id
 from crkr.sim_worker.evaluation.contexts import COST_OF_NOTHING
-from crkr.sim_worker.evaluation.oracle import Planner
 from crkr.sim_worker.guarded_skill import GuardedSkill, guarded_plan
 from crkr.sim_worker.randomness import fresh_rng
-from crkr.sim_worker.skill import Floats, Outcome, Skill, SkillOptions
+from crkr.sim_worker.skill import Floats, HasPlanner, Skill, SkillOptions, TrialResult
+from crkr.sim_worker.skill_registry import load_skill
 from crkr.sim_worker.supervisor.pool import spread
 
-__all__ = ["Assessment", "Played", "ask", "play", "record"]
+__all__ = ["Assessment", "PlayedContext", "ask", "play", "play_oracle", "record"]
 
 CHUNK: Final = 10
 STORED_AT_ONCE: Final = 500
@@ -28,17 +28,17 @@ STORED_AT_ONCE: Final = 500
 
 @final
 @dataclass(frozen=True, slots=True)
-class Played:
+class PlayedContext:
     """One context, played.
 
     Attributes:
-        ball: Which.
-        result: What the policy's goal gave, without a trace.
-        oracle: Success of the skill's own planner by criterion; None where it has none or was not asked.
+        context: Its number.
+        result: Of the policy's goal, without a trace.
+        oracle: Success of the skill's planner by criterion; None where it has none or was not asked.
     """
 
-    ball: int
-    result: Outcome
+    context: int
+    result: TrialResult
     oracle: dict[str, bool] | None
 
 
@@ -48,16 +48,16 @@ class Assessment:
     """Counts over the contexts played.
 
     Attributes:
-        policy: What was played.
-        reasons: How trials ended, by the skill's words.
-        oracle: The planner's plans for the same contexts; empty where there is no planner.
+        policy: Success of the policy.
+        reasons: How trials ended, in the skill's words.
+        oracle: Success of the planner in the same contexts; empty where there is none.
     """
 
     policy: Tally = field(default_factory=Tally)
     reasons: Counter[str] = field(default_factory=Counter)
     oracle: Tally = field(default_factory=Tally)
 
-    def add(self, played: Played) -> None:
+    def add(self, played: PlayedContext) -> None:
         """Counts one context."""
         self.policy.add(success_by_criterion(played.result.success, played.result.info))
         self.reasons[str(played.result.info.get("reason", "success" if played.result.success else "failure"))] += 1
@@ -74,8 +74,8 @@ class Assessment:
         }
 
 
-def ask(task: Task, skill: Skill, balls: int, seed: int) -> list[Prediction]:
-    """The policy's goals for `balls` fresh contexts, in messages of at most 4096.
+def ask(task: Task, skill: Skill, contexts: int, seed: int) -> list[Prediction]:
+    """The policy's goals for that many fresh contexts, in messages of at most 4096.
 
     Raises:
         Invalid: The skill has other states or goals than the task.
@@ -86,8 +86,8 @@ def ask(task: Task, skill: Skill, balls: int, seed: int) -> list[Prediction]:
             f"the skill maps R^{len(mine.state)} to R^{len(mine.goal)}, but task {task.name!r} maps "
             f"R^{len(theirs.state)} to R^{len(theirs.goal)}; name its skill with --skill"
         )
-    states = np.array([skill.reset(fresh_rng(seed, ball)) for ball in range(balls)])
-    return [task.predict(states[start : start + MAX_STATES]) for start in range(0, balls, MAX_STATES)]
+    states = np.array([skill.reset(fresh_rng(seed, context)) for context in range(contexts)])
+    return [task.predict(states[start : start + MAX_STATES]) for start in range(0, contexts, MAX_STATES)]
 
 
 def play(
@@ -99,7 +99,7 @@ def play(
     jobs: int,
     oracle: bool,
     show: Callable[[int], None],
-) -> list[Played]:
+) -> list[PlayedContext]:
     """Executes goals (b, p) in the contexts that `ask` asked about, `jobs` at a time; in order of the contexts.
 
     Raises:
@@ -107,11 +107,11 @@ def play(
     """
     starts = range(0, len(goals), CHUNK)
     parts = [_Part(start, goals[start : start + CHUNK], seed, oracle) for start in starts]
-    played: dict[int, Played] = {}
+    played: dict[int, PlayedContext] = {}
     for results in spread(skill, options, _play_part, parts, jobs):
-        played.update({one.ball: one for one in results})
+        played.update({one.context: one for one in results})
         show(len(played))
-    return [played[ball] for ball in range(len(goals))]
+    return [played[context] for context in range(len(goals))]
 
 
 @final
@@ -125,28 +125,28 @@ class _Part:
     oracle: bool
 
 
-def _play_part(skill: Skill, part: _Part) -> list[Played]:
-    planner = skill if part.oracle and isinstance(skill, Planner) else None
+def _play_part(skill: Skill, part: _Part) -> list[PlayedContext]:
+    planner = skill if part.oracle and isinstance(skill, HasPlanner) else None
     player = GuardedSkill(skill)
     played = []
-    for ball, goal in enumerate(part.goals, part.start):
-        state = player.reset(fresh_rng(part.seed, ball))
+    for context, goal in enumerate(part.goals, part.start):
+        state = player.reset(fresh_rng(part.seed, context))
         result = player.execute(goal)
         best = None if planner is None else guarded_plan(planner, state)
-        bare = Outcome(result.cost, result.success, result.executed, result.outcome, dict(result.info), None)
-        played.append(Played(ball, bare, best))
+        bare = replace(result, info=dict(result.info), trace=None)
+        played.append(PlayedContext(context, bare, best))
     return played
 
 
-def record(task: Task, answers: list[Prediction], played: list[Played], seed: int, source: str) -> int:
+def record(task: Task, answers: list[Prediction], played: list[PlayedContext], seed: int, source: str) -> int:
     """Stores the contexts played as evaluations; returns how many were new.
 
-    The same goal in the same context of the same environment is one trial, whenever the policy is asked.
+    The same goal in the same context of the same environment is one trial, however often it is recorded.
 
     Args:
-        task: Where.
+        task: Task that was judged.
         answers: The policy's answers.
-        played: What they gave, in order.
+        played: Their results, in order.
         seed: Of the contexts.
         source: Environment and launcher in force, as part of the ids.
     """
@@ -156,7 +156,7 @@ def record(task: Task, answers: list[Prediction], played: list[Played], seed: in
     trials = [
         _identified(
             task,
-            f"evaluate/{source}/{seed}/{one.ball}",
+            f"evaluate/{source}/{seed}/{one.context}",
             state=state,
             goal=goal,
             cost=COST_OF_NOTHING if one.result.cost is None else one.result.cost,
@@ -165,7 +165,7 @@ def record(task: Task, answers: list[Prediction], played: list[Played], seed: in
             outcome=one.result.outcome,
             worker="evaluate",
             model_version=version,
-            info={**one.result.info, "ball": one.ball, "seed": seed, "source": source},
+            info={**one.result.info, "ball": one.context, "seed": seed, "source": source},
         )
         for one, (state, goal, version) in zip(played, rows, strict=True)
     ]
@@ -181,3 +181,31 @@ def _identified(task: Task, context: str, **content: Any) -> Trial:
 
 def _rows(answer: Prediction) -> range:
     return range(len(answer.goals))
+
+
+def play_oracle(
+    skill: str, options: SkillOptions, contexts: int, seed: int, *, jobs: int, show: Callable[[int], None]
+) -> Tally:
+    """Success of the skill's planner in the contexts of an evaluation with this seed.
+
+    Raises:
+        Invalid: The skill has no planner.
+        CrkrError: A process was lost.
+    """
+    if not isinstance(load_skill(skill, options), HasPlanner):
+        raise Invalid(f"skill {skill!r} has no planner of its own (a method `best_plan`)")
+    parts = [(seed, range(start, min(start + CHUNK, contexts))) for start in range(0, contexts, CHUNK)]
+    won = Tally()
+    for part in spread(skill, options, _plan, parts, jobs):
+        for outcomes in part:
+            won.add(outcomes)
+        show(won.trials)
+    return won
+
+
+def _plan(skill: Skill, part: tuple[int, range]) -> list[dict[str, bool]]:
+    if not isinstance(skill, HasPlanner):
+        raise Invalid("the skill has no planner of its own")
+    seed, contexts = part
+    player = GuardedSkill(skill)
+    return [guarded_plan(skill, player.reset(fresh_rng(seed, context))) for context in contexts]

@@ -1,4 +1,4 @@
-"""The fixed contexts that a task is judged on, and the trials that judge it."""
+"""The fixed contexts that a task is judged on, and one epoch's evaluation on them."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from crkr.client import Task
 from crkr.client.tally import Tally, success_by_criterion
 from crkr.protocol import Prediction, Trial, evaluation_id
 from crkr.sim_worker.randomness import evaluation_rng
-from crkr.sim_worker.skill import Floats, Outcome, Skill
+from crkr.sim_worker.skill import Floats, Skill, TrialResult
 
-__all__ = ["COST_OF_NOTHING", "EPOCH", "Examination", "FixedContexts"]
+__all__ = ["COST_OF_NOTHING", "EPOCH", "EpochEvaluation", "FixedContexts"]
 
 EPOCH = 50
 """Training trials of an epoch."""
 
 COST_OF_NOTHING = 1.0
-"""Cost of an evaluation whose goal could not be executed: the log wants a number, and nothing is worse."""
+"""Cost of an evaluation whose goal could not be executed: the greatest, since the log requires a number."""
 
 
 @final
@@ -28,31 +28,31 @@ class FixedContexts:
     Args:
         skill: Draws them.
         seed: The task's seed.
-        count: How many.
+        count: Number of contexts.
     """
 
     def __init__(self, skill: Skill, seed: int, count: int) -> None:
         self._skill = skill
         self._seed = seed
-        self.states: Floats = np.array([skill.reset(evaluation_rng(seed, ball)) for ball in range(count)])
+        self.states: Floats = np.array([skill.reset(evaluation_rng(seed, context)) for context in range(count)])
 
-    def execute(self, ball: int, goal: Floats) -> Outcome:
-        """Tries a goal (p,) in context `ball`."""
-        self._skill.reset(evaluation_rng(self._seed, ball))
+    def execute(self, context: int, goal: Floats) -> TrialResult:
+        """Tries a goal (p,) in context number `context`."""
+        self._skill.reset(evaluation_rng(self._seed, context))
         return self._skill.execute(goal)
 
 
 @final
-class Examination:
-    """One epoch's evaluation: all goals from one model version, played one by one.
+class EpochEvaluation:
+    """One epoch's evaluation: all goals come from one model version and are executed one by one.
 
     Args:
         task: What is judged.
-        contexts: Where it is tried.
+        contexts: The fixed contexts.
         epoch: Which epoch has ended.
         trained: Training trials that were stored when the model was asked.
         answer: The model's answer to all contexts, (b, p) goals.
-        worker: Who plays.
+        worker: Name in the log.
     """
 
     def __init__(
@@ -65,7 +65,7 @@ class Examination:
         self._answer = answer
         self._worker = worker
         self.trials: list[Trial] = []
-        self.results: list[Outcome] = []
+        self.results: list[TrialResult] = []
 
     @property
     def finished(self) -> bool:
@@ -73,7 +73,7 @@ class Examination:
         return len(self.trials) == len(self._contexts.states)
 
     def rates(self) -> dict[str, float]:
-        """Success rate so far by criterion."""
+        """Success rate so far, by criterion."""
         tally = Tally()
         for trial in self.trials:
             tally.add(success_by_criterion(trial.success, trial.info))
@@ -81,15 +81,15 @@ class Examination:
 
     def play_next(self) -> None:
         """Plays the next context."""
-        ball = len(self.trials)
-        goal = self._answer.goals[ball]
-        result = self._contexts.execute(ball, goal)
+        context = len(self.trials)
+        goal = self._answer.goals[context]
+        result = self._contexts.execute(context, goal)
         self.results.append(result)
         self.trials.append(
             Trial.create(
                 self._task.spec,
-                id=evaluation_id(self._task.name, self.epoch, ball),
-                state=self._contexts.states[ball],
+                id=evaluation_id(self._task.name, self.epoch, context),
+                state=self._contexts.states[context],
                 goal=goal,
                 cost=COST_OF_NOTHING if result.cost is None else result.cost,
                 success=result.success,
@@ -97,14 +97,14 @@ class Examination:
                 outcome=result.outcome,
                 worker=self._worker,
                 model_version=self._answer.model_version,
-                info={**result.info, "epoch": self.epoch, "ball": ball, "trained": self._trained},
+                info={**result.info, "epoch": self.epoch, "ball": context, "trained": self._trained},
             )
         )
 
-    def novelty(self, ball: int) -> float:
-        """How far context `ball` was from the samples, in [0, 1]."""
-        return float(self._answer.novelty[ball])
+    def novelty(self, context: int) -> float:
+        """How far the context is from the samples, in [0, 1]."""
+        return float(self._answer.novelty[context])
 
-    def sigma(self, ball: int) -> Floats:
-        """(p,) predictive standard deviations at context `ball`."""
-        return np.asarray(self._answer.sigmas[ball])
+    def sigma(self, context: int) -> Floats:
+        """(p,) predictive standard deviations of the goal there."""
+        return np.asarray(self._answer.sigmas[context])

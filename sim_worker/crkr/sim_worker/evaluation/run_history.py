@@ -1,4 +1,4 @@
-"""A run as its log tells it: trials counted, epochs scored. One account for progress, summary and figure."""
+"""A run as its log tells it: trials counted, epochs scored; for progress, summary and figure."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ __all__ = ["EpochScore", "RunHistory"]
 @final
 @dataclass(slots=True)
 class EpochScore:
-    """How the model of one epoch did on the fixed contexts.
+    """Success of one epoch's model on the fixed contexts.
 
     Attributes:
-        epoch: Which.
+        epoch: Its number.
         trials: Training trials that were stored when the model was asked.
         tally: The contexts played so far.
     """
@@ -28,13 +28,19 @@ class EpochScore:
     tally: Tally = field(default_factory=Tally)
 
     @property
-    def balls(self) -> int:
+    def contexts(self) -> int:
         """Contexts played so far."""
         return self.tally.trials
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for JSON."""
-        return {"epoch": self.epoch, "trials": self.trials, **self.tally.rates(), "balls": self.balls}
+        return {
+            "epoch": self.epoch,
+            "trials": self.trials,
+            **self.tally.rates(),
+            "contexts": self.contexts,
+            "balls": self.contexts,  # the old name, for one release
+        }
 
 
 @final
@@ -46,8 +52,8 @@ class RunHistory:
 
     Attributes:
         last_seq: Log position of the newest trial seen.
-        kinds: How many trials of each kind.
-        eligible: How many of them are learned from.
+        kinds: Number of trials of each kind.
+        eligible: Number of trials that are learned from.
         filled_at: Training trials when the active set was first full, or None.
     """
 
@@ -76,7 +82,7 @@ class RunHistory:
         return [self._scores[epoch] for epoch in sorted(self._scores)]
 
     def add(self, stored: StoredTrial) -> None:
-        """Takes the next trial of the log."""
+        """Adds the next trial of the log."""
         trial = stored.trial
         self.last_seq = stored.seq
         self.kinds[trial.kind] += 1
@@ -92,7 +98,7 @@ class RunHistory:
                 self.filled_at = self.trained
 
     def rate(self, since: int) -> float:
-        """Training trials per second by the log's clock, of those after the first `since`."""
+        """Training trials per second by the log's clock, without the first `since`."""
         times = self._times[since:]
         seconds = times[-1] - times[0] if len(times) > 1 else 0.0
         return (len(times) - 1) / seconds if seconds > 0.0 else 0.0
@@ -100,7 +106,7 @@ class RunHistory:
     def _score(self, stored: StoredTrial) -> None:
         info = stored.trial.info
         epoch, trained = stated_epoch(info), info.get("trained")
-        if epoch is None:  # an evaluation that somebody recorded by hand
+        if epoch is None:  # recorded by hand
             return
         score = self._scores.setdefault(epoch, EpochScore(epoch, trained if type(trained) is int else 0))
         score.tally.add(success_by_criterion(stored.trial.success, info))

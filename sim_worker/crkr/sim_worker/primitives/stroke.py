@@ -1,42 +1,45 @@
-"""The swing: from rest through the goal's joint position and velocity at the hit time, and back to rest.
+"""A stroke of an arm: from rest through the goal's joint positions and velocities at the hit time, and back to rest.
 
-[Cardoso2015] poses this as a quadratic program per joint; `swing_program` states it. All joints are first solved
-together in closed form; only for a joint where a limit binds an active set is sought, and where that does not settle,
-Clarabel decides.
+`quadratic_program` states the program that is solved for each joint, and how. `Primitive` checks a goal, solves all
+joints, and returns the motion or refuses the goal with a reason that can be reported:
+
+    primitive = Primitive(JointLimits(lower, upper, speed, acceleration))
+    motion = primitive.trajectory(start, goal_position, goal_velocity, hit_time)
+    position, velocity, acceleration = motion.sample(times)
+
+examples/stroke.py plans one for an arm of two joints. Profiles to follow come from `profiles`.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import final
+from typing import Final, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from crkr.protocol.checks import finite_array, number
 from crkr.protocol.errors import CrkrError, Invalid
-from crkr.sim_worker.primitives.joint_trajectory import JointTrajectory
-from crkr.sim_worker.primitives.primal_dual import hold_limits
-from crkr.sim_worker.primitives.quadratic_program import InteriorPoint, Unsolved
-from crkr.sim_worker.primitives.stroke_program import SwingProgram
+from crkr.sim_worker.primitives.joint_motion import JointLimits, JointTrajectory
+from crkr.sim_worker.primitives.quadratic_program import InteriorPoint, StrokeProgram, Unsolved, hold_limits
 
 __all__ = ["Infeasible", "JointLimits", "JointTrajectory", "Primitive"]
 
 Floats = NDArray[np.float64]
 
-_ACCURACY = 1e-6  # [rad], [rad/s], [rad/s^2]: how well an accepted swing meets its equalities and limits
-_SHORTEST, _LONGEST = 1e-3, 60.0  # hit times that a swing may have [s]
+_ACCURACY: Final = 1e-6  # [rad], [rad/s], [rad/s^2]: how well an accepted stroke meets its equalities and limits
+_SHORTEST: Final = 1e-3  # hit time [s]
+_LONGEST: Final = 60.0
 
 
 @final
 class Infeasible(CrkrError):
-    """No swing satisfies the goal within the joint limits.
+    """No stroke meets the goal within the joint limits.
 
     Attributes:
         reason: "not_finite", "hit_time", "start_position", "goal_position", "goal_velocity", "out_of_reach" (the goal
             cannot be met in time even without position limits), "limits" (no motion keeps all limits) or "solver"
             (no answer was found).
-        joint: Index of the joint that fails; None where it is not one joint's fault.
+        joint: Index of the joint that fails; None where no single joint does.
     """
 
     def __init__(self, reason: str, joint: int | None, message: str) -> None:
@@ -47,49 +50,17 @@ class Infeasible(CrkrError):
 
 
 @final
-@dataclass(frozen=True, slots=True)
-class JointLimits:
-    """What n joints can do; the arrays are read-only copies.
-
-    Attributes:
-        lower: (n,) least positions [rad].
-        upper: (n,) greatest positions [rad].
-        speed: (n,) greatest speeds [rad/s].
-        acceleration: (n,) greatest accelerations either way [rad/s^2].
-
-    Raises:
-        Invalid: Shapes differ, a value is not finite, an empty range, or a limit that is not positive.
-    """
-
-    lower: Floats
-    upper: Floats
-    speed: Floats
-    acceleration: Floats
-
-    def __post_init__(self) -> None:
-        lower = finite_array(self.lower, "lower", (None,))
-        object.__setattr__(self, "lower", lower)
-        for name in ("upper", "speed", "acceleration"):
-            object.__setattr__(self, name, finite_array(getattr(self, name), name, (lower.size,)))
-        if (self.lower >= self.upper).any():
-            raise Invalid("lower must be less than upper for every joint", details={"field": "lower"})
-        for name in ("speed", "acceleration"):
-            if (getattr(self, name) <= 0).any():
-                raise Invalid(f"{name} must be positive for every joint", details={"field": name})
-
-
-@final
 class Primitive:
-    """Makes swings for one arm. One object serves one thread.
+    """Plans strokes for one arm. One object serves one thread.
 
     Args:
         limits: The arm's n joints.
         profile: (N, n) demonstrated accelerations in units of the hit time [rad / hit_time^2], as
-            `demonstrated_profile` gives them; None is zero: the smallest accelerations that do.
+            `demonstrated_profile` gives them; None is zero, which asks for the smallest accelerations.
         intervals: N, intervals of constant acceleration.
-        hit_interval: Knot of the hit; the swing lasts N / hit_interval times the hit time.
+        hit_interval: Knot of the hit; the stroke lasts N / hit_interval times the hit time.
         smoothness: Weight of the squared differences between successive deviations from the profile.
-        shortcuts: False asks Clarabel for every joint: slower, the same swings; a reference.
+        shortcuts: False solves every joint by Clarabel: slower, the same strokes; for tests and benchmarks.
 
     Raises:
         Invalid: A profile of another shape, or settings out of range.
@@ -114,14 +85,14 @@ class Primitive:
         self.limits = limits
         self.profile: Floats = finite_array(profile, "profile", (intervals, joints))
         self._demonstrated = self.profile / hit_interval**2  # (N, n) u_d
-        self._program = SwingProgram(intervals, hit_interval, smoothness)
+        self._program = StrokeProgram(intervals, hit_interval, smoothness)
         self._interior_point = InteriorPoint(self._program)
         self._shortcuts = shortcuts
 
     def trajectory(
         self, start: Floats, goal_position: Floats, goal_velocity: Floats, hit_time: float
     ) -> JointTrajectory:
-        """The swing that follows the profile best.
+        """The stroke that follows the profile best.
 
         Args:
             start: (n,) joint positions at rest at time 0 [rad].
@@ -134,8 +105,8 @@ class Primitive:
             between knots too.
 
         Raises:
-            Infeasible: No such swing, with the reason and the joint. A goal so near a position limit that only the
-                last max|acceleration| h^2 / 8 of it (about a milliradian) would make room is refused as well.
+            Infeasible: There is no such stroke; with the reason and the joint. A goal within max|acceleration| h^2 / 8
+                (about a milliradian) of a position limit may be refused although a stroke exists.
             Invalid: An array of another shape.
         """
         start, goal_position, goal_velocity = (

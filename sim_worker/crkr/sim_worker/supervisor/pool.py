@@ -1,4 +1,4 @@
-"""Work spread over processes that each hold a skill of their own."""
+"""A pool of processes, each with a skill of its own."""
 
 from __future__ import annotations
 
@@ -12,8 +12,7 @@ from crkr.protocol import CrkrError
 from crkr.sim_worker.guarded_skill import keep_standard_output
 from crkr.sim_worker.skill import Skill, SkillOptions
 from crkr.sim_worker.skill_registry import load_skill
-from crkr.sim_worker.supervisor.parent_watch import end_with_parent
-from crkr.sim_worker.supervisor.stop_request import ctrl_c_blocked
+from crkr.sim_worker.supervisor.child_process import ctrl_c_blocked, end_with_parent
 
 __all__ = ["spread"]
 
@@ -43,12 +42,12 @@ def spread(
         for future in as_completed(futures):
             yield future.result()
     except BrokenProcessPool as error:
-        raise CrkrError("a process was lost on the way; nothing was stored; try again") from error
+        raise CrkrError("a process was lost; nothing was stored; try again") from error
     finally:
         pool.shutdown(cancel_futures=True)
 
 
-_skills: list[Skill] = []  # of a pool's process: made once
+_skills: list[Skill] = []  # in a process of the pool: its one skill
 
 
 def _prepare(name: str, options: SkillOptions) -> None:

@@ -1,4 +1,4 @@
-"""The processes of a launcher: started, listened to, and ended."""
+"""The worker processes of a supervisor: started, listened to, and ended."""
 
 from __future__ import annotations
 
@@ -11,47 +11,46 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
 from typing import Any, Final, final
 
-from crkr.sim_worker.supervisor.pipe import Line, LineClosed
-from crkr.sim_worker.supervisor.stop_request import ctrl_c_blocked
+from crkr.sim_worker.supervisor.child_process import MessagePipe, PipeClosed, ctrl_c_blocked
 
-__all__ = ["Fleet", "Member"]
+__all__ = ["WorkerProcess", "WorkerProcesses"]
 
 FINISH_S: Final = 2.0
-"""A member that was told to stop may finish its trial for this long [s]."""
+"""A worker that was told to stop may finish its trial for this long [s]."""
 TERMINATE_S: Final = 1.0
 """One that was terminated is killed after this [s]."""
 
 
 @final
 @dataclass(slots=True, eq=False)
-class Member:
-    """One process as its launcher sees it.
+class WorkerProcess:
+    """One worker as its supervisor sees it.
 
     Attributes:
         name: For people.
         process: The process.
-        line: Our end of the line to it.
-        tickets: Trials that it may still do or has under way.
+        pipe: Our end of the pipe to it.
+        tickets: Trials that it may still start or has under way.
         reason: Why it ended, if it said so.
-        silent_s: How long it had made no progress when it was given up, or None [s].
+        silent_s: How long it had made no progress when it was killed for that, or None [s].
     """
 
     name: str
     process: SpawnProcess
-    line: Line
+    pipe: MessagePipe
     tickets: int = 0
     reason: str | None = None
     silent_s: float | None = None
 
-    def order(self, order: str, **fields: Any) -> None:
-        """Sends an order; one that cannot arrive is no loss, since the process's end will be seen."""
+    def send(self, order: str, **fields: Any) -> None:
+        """Sends an order; one that cannot arrive is ignored, since the end of the process is noticed anyway."""
         try:
-            self.line.send({"order": order, **fields})
-        except LineClosed:
+            self.pipe.send({"order": order, **fields})
+        except PipeClosed:
             return
 
-    def give_up(self, silent_s: float) -> None:
-        """Kills it, whatever it is doing; its end is seen as any other."""
+    def kill(self, silent_s: float) -> None:
+        """Kills it for `silent_s` without progress; its end is noticed as any other."""
         self.silent_s = silent_s
         self.process.kill()
 
@@ -68,88 +67,87 @@ class Member:
 
 
 @final
-class Fleet:
-    """Starts processes by the spawn method and hears from them; ends them all when left.
+class WorkerProcesses:
+    """Starts processes by the spawn method and receives their events; ends them all when left.
 
-    They are shielded from the terminal's Ctrl-C, which reaches the whole foreground group: the launcher decides when
-    they end.
+    The terminal's Ctrl-C, which goes to the whole foreground group, does not reach them: the supervisor ends them.
     """
 
     def __init__(self) -> None:
         self._context = multiprocessing.get_context("spawn")
-        self._members: list[Member] = []
+        self._workers: list[WorkerProcess] = []
 
-    def __enter__(self) -> Fleet:
+    def __enter__(self) -> WorkerProcesses:
         return self
 
     def __exit__(self, *exception: object) -> None:
         self.stop()
 
-    def start(self, name: str, body: Callable[[Any, Connection], None], settings: object) -> Member:
+    def start(self, name: str, body: Callable[[Any, Connection], None], settings: object) -> WorkerProcess:
         """Starts `body(settings, connection)` in a process of its own."""
         ours, theirs = self._context.Pipe()
         process = self._context.Process(target=body, args=(settings, theirs), name=name)
         with ctrl_c_blocked():
             process.start()
-        theirs.close()  # so that the member's end is also the line's
-        member = Member(name, process, Line(ours))
-        self._members.append(member)
-        return member
+        theirs.close()  # so that the pipe ends with the process
+        worker = WorkerProcess(name, process, MessagePipe(ours))
+        self._workers.append(worker)
+        return worker
 
-    def events(self, timeout_s: float) -> Iterator[tuple[Member, dict[str, Any] | None]]:
-        """What happened within `timeout_s`: events of members, and None for the end of one, after its last words."""
-        ready = wait([item for member in self._members for item in _handles(member)], timeout_s)
-        for member in list(self._members):
-            if any(handle in ready for handle in _handles(member)):
-                yield from self._listen(member)
+    def events(self, timeout_s: float) -> Iterator[tuple[WorkerProcess, dict[str, Any] | None]]:
+        """Events within `timeout_s`; None for the end of a worker, after its last event."""
+        ready = wait([item for worker in self._workers for item in _handles(worker)], timeout_s)
+        for worker in list(self._workers):
+            if any(handle in ready for handle in _handles(worker)):
+                yield from self._read(worker)
 
-    def _listen(self, member: Member) -> Iterator[tuple[Member, dict[str, Any] | None]]:
+    def _read(self, worker: WorkerProcess) -> Iterator[tuple[WorkerProcess, dict[str, Any] | None]]:
         try:
-            while (event := member.line.receive(0.0)) is not None:
-                yield member, event
-        except LineClosed:
-            member.process.join(TERMINATE_S)  # the line ends a moment before the process does
-            if member.process.exitcode is None:
-                member.process.kill()
-                member.process.join()
-        if member.process.exitcode is not None:
-            self._members.remove(member)
-            member.line.close()
-            yield member, None
+            while (event := worker.pipe.receive(0.0)) is not None:
+                yield worker, event
+        except PipeClosed:
+            worker.process.join(TERMINATE_S)  # the pipe ends a moment before the process does
+            if worker.process.exitcode is None:
+                worker.process.kill()
+                worker.process.join()
+        if worker.process.exitcode is not None:
+            self._workers.remove(worker)
+            worker.pipe.close()
+            yield worker, None
 
-    def stop(self) -> list[tuple[Member, dict[str, Any]]]:
-        """Ends all members: politely, then firmly, then for certain; within 4 s. Gives their last events."""
-        members = list(self._members)
-        for member in members:
-            member.order("stop")
+    def stop(self) -> list[tuple[WorkerProcess, dict[str, Any]]]:
+        """Ends all workers within 4 s: by an order, then by SIGTERM, then by SIGKILL. Returns their last events."""
+        workers = list(self._workers)
+        for worker in workers:
+            worker.send("stop")
         self._join(FINISH_S)
-        for member in self._members:
-            member.process.terminate()
+        for worker in self._workers:
+            worker.process.terminate()
         self._join(TERMINATE_S)
-        for member in self._members:
-            member.process.kill()
+        for worker in self._workers:
+            worker.process.kill()
         self._join(TERMINATE_S)
-        self._members.clear()
-        last = [(member, event) for member in members for event in _rest(member)]
-        for member in members:
-            member.line.close()
+        self._workers.clear()
+        last = [(worker, event) for worker in workers for event in _rest(worker)]
+        for worker in workers:
+            worker.pipe.close()
         return last
 
     def _join(self, patience_s: float) -> None:
         deadline = time.monotonic() + patience_s
-        for member in self._members:
-            member.process.join(max(0.0, deadline - time.monotonic()))
-        self._members = [member for member in self._members if member.process.exitcode is None]
+        for worker in self._workers:
+            worker.process.join(max(0.0, deadline - time.monotonic()))
+        self._workers = [worker for worker in self._workers if worker.process.exitcode is None]
 
 
-def _rest(member: Member) -> Iterator[dict[str, Any]]:
-    """What is left on the line of a member that has ended."""
+def _rest(worker: WorkerProcess) -> Iterator[dict[str, Any]]:
+    """Events left in the pipe of a worker that has ended."""
     try:
-        while (event := member.line.receive(0.0)) is not None:
+        while (event := worker.pipe.receive(0.0)) is not None:
             yield event
-    except LineClosed:
+    except PipeClosed:
         return
 
 
-def _handles(member: Member) -> tuple[Any, Any]:
-    return member.line.connection, member.process.sentinel
+def _handles(worker: WorkerProcess) -> tuple[Any, Any]:
+    return worker.pipe.connection, worker.process.sentinel

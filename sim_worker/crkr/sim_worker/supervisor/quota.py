@@ -1,4 +1,4 @@
-"""How many training trials may still be started, so that the task's total comes out exact."""
+"""How many training trials may still be started, so that the task ends with exactly its total."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ __all__ = ["Quota"]
 class Quota:
     """Counts tickets for training trials; a ticket is one trial that may be started.
 
-    With one launcher the total is met exactly, whatever others report before its last tickets are granted; what they
-    report after that exceeds it. With several launchers, each takes a quarter of what is left and looks again, so that
-    the total is exceeded by no more than the trials that the others had under way at the end.
+    With one supervisor the total is met exactly, also where others report trials before its last tickets are granted;
+    what they report later exceeds it. Each of several supervisors takes a quarter of what is left and asks again, so
+    that the total is exceeded by at most the trials that the others had under way at the end.
 
     Args:
         total: Training trials that the task is to hold in all; None is no limit.
@@ -44,11 +44,11 @@ class Quota:
 
     @property
     def shared(self) -> bool:
-        """Whether other launchers train towards the same total."""
+        """Whether other supervisors train towards the same total."""
         return self._total is not None and self._others > 0
 
     def grant(self, wanted: int) -> int:
-        """Takes up to `wanted` tickets and says how many."""
+        """Takes up to `wanted` tickets; returns how many."""
         granted = wanted if self.left is None else min(wanted, self.left)
         if self.shared:
             granted = min(granted, self._share)
@@ -57,14 +57,14 @@ class Quota:
         return granted
 
     def done(self) -> None:
-        """A granted ticket became a stored trial."""
+        """Counts a ticket that became a stored trial."""
         self._done += 1
 
     def observe(self, stored: int) -> None:
-        """Learns how many training trials the task holds: what our tickets cannot account for, others did.
+        """Takes the number of training trials that the task holds; trials beyond our tickets are others'.
 
-        Those of ours that are stored and were not told of yet count as others' until the next look: a ticket that is
-        granted a little later does no harm, one too many cannot be taken back.
+        Stored trials of ours whose workers have not reported them yet count as others' until the next call: a ticket
+        granted late is harmless, one too many cannot be taken back.
         """
         self._others = max(self._others, stored - self._base - self._granted)
         self._others_at_most = stored - self._base - self._done
@@ -72,6 +72,6 @@ class Quota:
         self._share = max(1, (self.left or 0) // 4)
 
     def settle(self, stored: int) -> None:
-        """Starts anew from the true count, with none of our tickets outstanding: those of lost workers come back."""
+        """Starts again from the true count, with no ticket outstanding: those of lost workers come back."""
         self._base, self._granted, self._done, self._others, self._others_at_most = stored, 0, 0, 0, 0
         self._seen = max(self._seen, stored)

@@ -1,4 +1,4 @@
-"""Notices a worker that hangs: it owes something and nothing is heard of it, though its process runs."""
+"""Finds workers that hang: they have work, their process runs, and they report nothing."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ STARTING: Final = 10.0  # a simulator that is loaded, perhaps with many others a
 
 @final
 class StallWatch(Generic[Worker]):
-    """Measures how long each worker has been silent while it owed something.
+    """Measures how long each worker has been silent while it had work.
 
-    Only time counts in which somebody looked: when the watcher itself was held, as by Ctrl-Z, its workers were too.
+    Only time between two close calls counts: when the supervisor is suspended, as by Ctrl-Z, so are its workers.
 
     Args:
-        limit_s: Silence that is no cause for concern [s]; ten times as long before a worker's first word.
+        limit_s: Longest silence of a healthy worker [s]; ten times as long before its first event.
         clock: Monotonic time [s].
     """
 
@@ -34,22 +34,22 @@ class StallWatch(Generic[Worker]):
         self._started: set[Worker] = set()
 
     def heard(self, worker: Worker) -> None:
-        """Notes a sign of progress."""
+        """Notes a worker's progress."""
         self._since.pop(worker, None)
         self._started.add(worker)
 
-    def look(self, owing: Collection[Worker], waiting: Collection[Worker], grace_s: float) -> dict[Worker, float]:
+    def look(self, busy: Collection[Worker], waiting: Collection[Worker], grace_s: float) -> dict[Worker, float]:
         """Workers that hang, with how long they have been silent [s].
 
         Args:
-            owing: All workers that owe something now.
-            waiting: Those that said that they wait for something else.
+            busy: All workers that have work now.
+            waiting: Those that reported that they wait for the server.
             grace_s: How much longer these may be silent [s].
         """
         now = self._clock()
         self._watched_s += min(now - self._last_look, LONGEST_LOOK_S)
         self._last_look = now
-        self._since = {worker: self._since.get(worker, self._watched_s) for worker in owing}
+        self._since = {worker: self._since.get(worker, self._watched_s) for worker in busy}
         silent = {worker: self._watched_s - since for worker, since in self._since.items()}
         return {
             worker: silence

@@ -14,15 +14,15 @@ def make(options: SkillOptions) -> Skill:
 
 
 def make_profiled(options: SkillOptions) -> Skill:
-    """The skill with swings that follow a recorded demonstration; to be named as package.module:factory."""
+    """The skill with swings that follow a recorded demonstration; name it as package.module:factory."""
     return TableTennis(options, profiled=True)
 
 
 def make_cautious(options: SkillOptions) -> Skill:
-    """The skill with swings refused in which the arm would touch itself; to be named as package.module:factory."""
+    """The skill that refuses swings in which the arm would touch itself; name it as package.module:factory."""
     return TableTennis(options, cautious=True)
 
 
 def make_lifted(options: SkillOptions) -> Skill:
-    """The skill with a ball that its spin lifts; to be named as package.module:factory."""
+    """The skill with a ball that its spin lifts; name it as package.module:factory."""
     return TableTennis(options, magnus=True)

@@ -1,4 +1,4 @@
-"""An analytic planner for demonstrations and the oracle: where and how to meet a ball so that it lands on the aim."""
+"""An analytic planner for demonstrations and the oracle: where and how to hit a ball so that it lands on the aim."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ CANDIDATES: Final = (
     (-1.52, 0.70),
     (-1.32, 0.64),
 )
-# Slow balls that drop behind the table are met early, above it: another kind of stroke, not one to demonstrate.
+# Slow balls that drop behind the table must be hit early, above it: a different stroke, which is not demonstrated.
 EARLY: Final = (-1.14, 0.60)
 LONGEST: Final = 1.0  # of the prediction [s]
 LOWEST: Final = TABLE_HEIGHT + 0.06  # a ball below this cannot be hit [m]
@@ -50,7 +50,7 @@ NET_MARGIN: Final = 0.03  # [m]
 
 
 class Predictor(Protocol):
-    """Knows what a ball does that nobody hits."""
+    """Predicts a ball that is not hit."""
 
     @property
     def timestep(self) -> float:
@@ -64,7 +64,7 @@ class Predictor(Protocol):
 
 @final
 class Planner:
-    """Plans returns: the incoming ball as `predictor` has it, a rigid impact at the paddle."""
+    """Plans returns of balls that fly as `predictor` says, with a rigid impact at the paddle."""
 
     def __init__(self, arm: Arm, predictor: Predictor) -> None:
         self._arm = arm
@@ -76,7 +76,7 @@ class Planner:
         Args:
             ball: Position [m] and velocity [m/s] at the snapshot.
             aim: Where the return should land [m].
-            early: Whether to end with a stroke above the table.
+            early: Also try a stroke above the table, last.
         """
         path = self._predictor.path(ball, LONGEST)
         for plane, duration in (*CANDIDATES, EARLY) if early else CANDIDATES:

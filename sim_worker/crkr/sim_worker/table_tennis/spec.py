@@ -1,4 +1,4 @@
-"""What the task maps and how it learns: the presets `tuned` and `paper`."""
+"""The task specification of table tennis, in the presets `tuned` and `paper`."""
 
 from __future__ import annotations
 
@@ -43,9 +43,9 @@ LEARNING: Final[dict[str, dict[str, Any]]] = {
     "tuned": {
         "description": f"Return a table tennis ball; the settings that learn best. {COST}",
         "kernel": {"linear_weight": 2.0},
-        # A cost near zero says that this ball was met, not that the goal is exact for its neighbours.
+        # A cost near zero means that this ball was hit, not that the goal is exact for similar balls.
         "noise_floor": 0.05,
-        # Successes are many and good: more of them, or a line drawn again, cost time and bring nothing.
+        # Successes are many and good: a larger budget costs time and brings nothing.
         "budget": 100,
         "exploration": {"type": "outcome", "iterations": 1},
         "prior_mean": "demonstrations",
@@ -70,7 +70,7 @@ def task_spec(launcher: Launcher, preset: str, name: str | None = None, seed: in
         seed: Of the exploration draws.
 
     Raises:
-        Invalid: No such preset, or a bad name or seed.
+        Invalid: There is no such preset, or the name or seed is bad.
     """
     if preset not in PRESETS:
         raise Invalid(f"no preset {preset!r}; there are {', '.join(PRESETS)}")

@@ -1,4 +1,4 @@
-"""The skill: returning table tennis balls with a six-joint arm."""
+"""The skill: a six-joint arm returns table tennis balls."""
 
 from __future__ import annotations
 
@@ -11,17 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crkr.protocol import Geom, Invalid, TaskSpec
-from crkr.sim_worker.primitives.demonstrated_profile import demonstrated_profile
+from crkr.sim_worker.primitives.joint_motion import spare_time
+from crkr.sim_worker.primitives.profiles import demonstrated_profile, wind_up
 from crkr.sim_worker.primitives.stroke import Infeasible, JointLimits, JointTrajectory, Primitive
-from crkr.sim_worker.skill import Demonstration, Outcome, SkillOptions
+from crkr.sim_worker.skill import Demonstration, SkillOptions, TrialResult
 from crkr.sim_worker.table_tennis.arm.collision import CollisionCheck
 from crkr.sim_worker.table_tennis.arm.dynamics import ACCELERATION_LIMITS, SPEED_LIMITS, Arm
-from crkr.sim_worker.table_tennis.arm.spare_time import spare_time
-from crkr.sim_worker.table_tennis.arm.wind_up import wind_up
 from crkr.sim_worker.table_tennis.ball.launchers import LAUNCHERS, Launcher
 from crkr.sim_worker.table_tennis.environments.environments import ENVIRONMENTS, make_environment, make_predictor
-from crkr.sim_worker.table_tennis.environments.play import Play
-from crkr.sim_worker.table_tennis.environments.simulation import Diverged, Simulation
+from crkr.sim_worker.table_tennis.environments.play import Diverged, Play
+from crkr.sim_worker.table_tennis.environments.simulation import Simulation
 from crkr.sim_worker.table_tennis.pictures.trace import Motion, motion, trace
 from crkr.sim_worker.table_tennis.planner import HOME, Planner
 from crkr.sim_worker.table_tennis.spec import SPARE_TIME, task_spec
@@ -47,14 +46,14 @@ class TableTennis:
     Args:
         options: Environment "contact", "hybrid" or "analytic"; launcher "nominal", "medium" or "wide"; preset "tuned"
             or "paper".
-        traces: False leaves `Outcome.trace` empty, which saves half a millisecond a trial.
-        profiled: Swings follow the acceleration profile of a recorded demonstration with a wind-up rather than the
+        traces: False leaves `TrialResult.trace` empty, which saves half a millisecond a trial.
+        profiled: Swings follow the acceleration profile of a recorded demonstration with a wind-up instead of the
             smallest accelerations that reach the goal.
         magnus: Spin lifts the ball.
-        cautious: Swings in which the arm would touch itself are collisions too.
+        cautious: Refuse swings in which the arm would touch itself.
 
     Raises:
-        Invalid: An option of another name.
+        Invalid: An option with an unknown name.
     """
 
     def __init__(
@@ -78,12 +77,12 @@ class TableTennis:
         self._simulation = Simulation(magnus=magnus)
         self._environment = make_environment(self._name, self._arm, self._simulation)
         self._collision = CollisionCheck(self._arm, itself=cautious)
-        self._in_reach = "the table, the net or itself" if cautious else "the table or the net"
+        self._obstacles = "the table, the net or itself" if cautious else "the table or the net"
         self._primitive = Primitive(JointLimits(self._arm.lower, self._arm.upper, SPEED_LIMITS, ACCELERATION_LIMITS))
         self._planner: Planner | None = None
         self._traces = traces
         self._ball: Floats | None = None
-        self.diverged = 0  # trials that the simulator broke down in
+        self.diverged = 0  # trials whose simulation failed
         if profiled:
             self._primitive = Primitive(self._primitive.limits, self._recorded_profile())
 
@@ -97,15 +96,15 @@ class TableTennis:
         return self._options
 
     def reset(self, rng: np.random.Generator) -> Floats:
-        """Launches a ball and measures it; launches that are no fair feed are redrawn."""
+        """Launches a ball and measures it; unfair launches are redrawn."""
         self._ball = self._launcher.draw(rng)
         return self._ball.copy()
 
-    def execute(self, goal: Floats) -> Outcome:
+    def execute(self, goal: Floats) -> TrialResult:
         """Swings at the ball of the last `reset`.
 
-        A goal that is refused gives the reason "invalid" (shape, NaN or bounds), "infeasible" (no swing within the
-        joint limits) or "collision" (within 1 cm of table or net); a simulation that breaks down gives "diverged".
+        A refused goal gives the reason "invalid" (shape, NaN or bounds), "infeasible" (no swing within the joint
+        limits) or "collision" (within 1 cm of table or net); a failed simulation gives "diverged".
 
         Raises:
             Invalid: There was no `reset` before.
@@ -114,15 +113,15 @@ class TableTennis:
             raise Invalid("execute needs a ball; call reset first")
         return self.attempt(self._ball, goal)
 
-    def attempt(self, ball: Floats, goal: Floats) -> Outcome:
+    def attempt(self, ball: Floats, goal: Floats) -> TrialResult:
         """As `execute`, for any ball (6,)."""
         try:
             swing, play = self._play(ball, goal)
-        except _Refused as refusal:
-            return refusal.outcome
+        except _RefusedGoal as refusal:
+            return refusal.result
         verdict = judge(play)
         outcomes = {"paper": verdict.paper, "strict": verdict.strict}
-        return Outcome(
+        return TrialResult(
             cost=verdict.cost,
             success=outcomes[self._criterion],
             executed=True,
@@ -132,15 +131,15 @@ class TableTennis:
         )
 
     def film(self, ball: Floats, goal: Floats, interval: float) -> Motion | None:
-        """What `attempt` does, in rows of at most `interval` [s], for drawing; None where the goal is refused."""
+        """The motion of `attempt`, in steps of at most `interval` [s], for drawing; None where the goal is refused."""
         try:
             swing, play = self._play(ball, goal)
-        except _Refused:
+        except _RefusedGoal:
             return None
         return motion(swing, play, judge(play), interval)
 
     def demonstrations(self, count: int, rng: np.random.Generator) -> Sequence[Demonstration]:
-        """Plans successful returns for the launcher's next balls; those that it cannot return are drawn again."""
+        """Plans successful returns for the launcher's next balls; balls that it cannot return are skipped."""
         found: list[Demonstration] = []
         for _ in range(DRAWS * count):
             if len(found) == count:
@@ -152,24 +151,24 @@ class TableTennis:
             raise Invalid(f"{self._spec.name}: {len(found)} of {count} demonstrations found; ask for fewer")
         return found
 
-    def plan(self, ball: Floats) -> tuple[Floats, Outcome] | None:
-        """The planner's first goal (13,) that returns `ball` (6,) by the strict criterion, and its outcome."""
+    def plan(self, ball: Floats) -> tuple[Floats, TrialResult] | None:
+        """The planner's first goal (13,) that returns `ball` (6,) by the strict criterion, and its result."""
         plans = list(self._plans(ball))
         return plans[-1] if plans and plans[-1][1].info["outcomes"]["strict"] else None
 
     def best_plan(self, ball: Floats) -> dict[str, bool]:
         """Whether some plan for `ball` (6,) succeeds, by each criterion."""
-        tried = [outcome.info["outcomes"] for _, outcome in self._plans(ball, early=True)]
+        tried = [result.info["outcomes"] for _, result in self._plans(ball, early=True)]
         return {criterion: any(outcomes[criterion] for outcomes in tried) for criterion in CRITERIA.values()}
 
-    def _plans(self, ball: Floats, *, early: bool = False) -> Iterator[tuple[Floats, Outcome]]:
-        """The planner's goals for `ball` with their outcomes, up to the first strict success."""
+    def _plans(self, ball: Floats, *, early: bool = False) -> Iterator[tuple[Floats, TrialResult]]:
+        """The planner's goals for `ball` with their results, up to the first strict success."""
         if self._planner is None:
             self._planner = Planner(self._arm, make_predictor(self._name, magnus=self._magnus))
         for goal in self._planner.goals(ball, early=early):
-            outcome = self.attempt(ball, goal)
-            yield goal, outcome
-            if outcome.info["outcomes"]["strict"]:
+            result = self.attempt(ball, goal)
+            yield goal, result
+            if result.info["outcomes"]["strict"]:
                 return
 
     def _spare_time(self, goal: Floats) -> float:
@@ -194,33 +193,33 @@ class TableTennis:
         try:
             goal = np.asarray(goal, dtype=np.float64)
         except (TypeError, ValueError):
-            raise _Refused("invalid", "the goal is not numeric") from None
+            raise _RefusedGoal("invalid", "the goal is not numeric") from None
         if goal.shape != self._low.shape or not ((goal >= self._low) & (goal <= self._high)).all():
-            raise _Refused("invalid", "the goal has another shape, is not finite or is out of bounds")
+            raise _RefusedGoal("invalid", "the goal has another shape, is not finite or is out of bounds")
         hit_time = float(goal[12])
         try:
             swing = self._primitive.trajectory(HOME, goal[:6], goal[6:12], hit_time)
         except Infeasible as error:
-            raise _Refused("infeasible", error.message) from error
+            raise _RefusedGoal("infeasible", error.message) from error
         if (row := self._collision.first(_between(swing))) is not None:
-            raise _Refused("collision", f"the arm would touch {self._in_reach} at sample {row} of the swing")
+            raise _RefusedGoal("collision", f"the arm would touch {self._obstacles} at sample {row} of the swing")
         try:
             return swing, self._environment.play(ball, swing, hit_time)
         except Diverged as error:
             self.diverged += 1
             _log.warning("trial dropped (%d so far): %s", self.diverged, error)
-            raise _Refused("diverged", str(error)) from error
+            raise _RefusedGoal("diverged", str(error)) from error
 
 
 @final
-class _Refused(Exception):
-    """A goal that moved nothing, or nothing that could be measured."""
+class _RefusedGoal(Exception):
+    """A goal that was not executed or could not be measured."""
 
     def __init__(self, reason: str, detail: str) -> None:
         super().__init__(detail)
         outcomes = {"paper": False, "strict": False}
         info: dict[str, Any] = {"reason": reason, "detail": detail, "outcomes": outcomes}
-        self.outcome = Outcome(cost=None, success=False, executed=False, outcome=None, info=info, trace=None)
+        self.result = TrialResult(cost=None, success=False, executed=False, info=info)
 
 
 def _between(swing: JointTrajectory) -> Floats:

@@ -1,4 +1,4 @@
-"""The game-state tracker: from what a swing did to its cost, outcome, success and reason."""
+"""The game-state tracker: cost, outcome, success and reason of a play."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ OUTCOMES: Final = ("hit_x", "hit_y", "hit_z", "landing_x", "landing_y")
 @final
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What one play was worth.
+    """The judgement of one play.
 
     Attributes:
         cost: [Cardoso2017, eq. 8] of the distance from the ball to where a ball touching the face's centre would be.
@@ -57,7 +57,7 @@ class Verdict:
 def judge(play: Play) -> Verdict:
     """Judges a play by both criteria."""
     face = play.paddle.position + FACE_OFFSET * play.paddle.normal
-    cost = cost_of(float(np.linalg.norm(np.array(play.ball[:3]) - face)))
+    cost = float(cost_of(float(np.linalg.norm(np.array(play.ball[:3]) - face))))
     landing = fly_to_height(play.after, TOUCH_HEIGHT, play.curl) if play.touched else None
     error = (landing[1].x - AIM[0], landing[1].y - AIM[1]) if landing else (np.nan, np.nan)
     outcome = np.array([*(play.untouched - face), *error])
@@ -67,9 +67,9 @@ def judge(play: Play) -> Verdict:
     return Verdict(cost, strict or own_half, strict, reason, outcome, landing)
 
 
-def cost_of(distance: float) -> float:
-    """Saturating cost in [0, 1] of a distance [m]  [Cardoso2017, eq. 8]."""
-    return float(-np.expm1(-0.5 * (distance / COST_WIDTH) ** 2))
+def cost_of(distance: Floats | float) -> Floats | np.float64:
+    """Saturating cost in [0, 1] of distances [m]  [Cardoso2017, eq. 8]."""
+    return np.negative(np.expm1(-0.5 * (distance / COST_WIDTH) ** 2))
 
 
 def rally(ball: Ball, duration: float, interval: float, curl: Curl = None) -> tuple[Floats, Floats]:

@@ -1,4 +1,4 @@
-"""What a worker publishes after a trial was stored. It may be dropped; learning never waits for it."""
+"""A worker's publications about stored trials; they may be dropped, and learning never waits for them."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ class Telemetry:
         self._publish("evaluation" if trial.kind == "evaluation" else "trial", message, self._pictures(trace, now))
 
     def refused(self, answer: Prediction, worker: str) -> None:
-        """Publishes that a goal was not even tried; the log has no such trial, and the message no `seq`."""
+        """Publishes that a goal was refused; the log has no such trial, so the message has no `seq`."""
         self._task.publish(
             "trial",
             {
@@ -123,5 +123,5 @@ class Telemetry:
     def _publish(self, topic: str, message: Mapping[str, Any], pictures: Mapping[str, Any]) -> None:
         try:
             self._task.publish(topic, {**message, **pictures})
-        except Invalid:  # too large with its pictures: the numbers are what must not be lost
+        except Invalid:  # too large with its pictures: publish the numbers alone
             self._task.publish(topic, message)

@@ -1,4 +1,4 @@
-"""One training trial: see a state, ask for a goal, try it, report it durably, show it."""
+"""The training loop: draw a situation, ask for a goal, execute it, report the trial, publish it."""
 
 from __future__ import annotations
 
@@ -14,26 +14,26 @@ import numpy as np
 from crkr.client import Task
 from crkr.protocol import Conflict, Internal, Prediction, Receipt, Trial, training_id
 from crkr.sim_worker.randomness import training_rng, unpredictable_seed
-from crkr.sim_worker.skill import Floats, Outcome, Skill
-from crkr.sim_worker.worker.supervisor_link import Orders
+from crkr.sim_worker.skill import Floats, Skill, TrialResult
+from crkr.sim_worker.worker.supervisor_link import SupervisorLink
 from crkr.sim_worker.worker.telemetry import Telemetry, Timing
 
 __all__ = ["Identity", "TrialLoop", "tried"]
 
 logger = logging.getLogger(__name__)
 
-_MOST_REFUSED: Final = 10  # goals in a row that no robot may try; the server then is of no use to this one
+_MOST_REFUSED: Final = 10  # goals in a row that may not be tried; then the worker ends
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """Who tries.
+    """Names and seeds of a worker.
 
     Attributes:
         worker: Name in the log and on displays.
-        seed: Seed of the situations it draws.
-        first_seq: Log position when it started; with the seed it makes the ids of its trials.
+        seed: Of the situations it draws.
+        first_seq: Log position when it started; its trials' ids derive from it and the seed.
     """
 
     worker: str
@@ -41,8 +41,8 @@ class Identity:
     first_seq: int
 
 
-def tried(task: Task, answer: Prediction, result: Outcome, worker: str) -> Trial:
-    """The training trial that a result amounts to; a goal that was not executed is of kind "failed"."""
+def tried(task: Task, answer: Prediction, result: TrialResult, worker: str) -> Trial:
+    """The training trial of a result; a goal that was not executed gives kind "failed"."""
     return Trial.create(
         task.spec,
         id=answer.trial_id,
@@ -64,11 +64,11 @@ class TrialLoop:
 
     Args:
         task: What is learned.
-        skill: Who tries.
+        skill: Executes the goals.
         identity: Names and seeds.
-        orders: Says when to give up while the server is away.
+        link: To the supervisor.
         telemetry: Where trials are shown.
-        wait: Report only returns when the model includes the trial; one worker then repeats a whole run.
+        wait: Reports return when the model includes the trial; one worker then repeats a run of its seed.
     """
 
     def __init__(
@@ -76,7 +76,7 @@ class TrialLoop:
         task: Task,
         skill: Skill,
         identity: Identity,
-        orders: Orders,
+        link: SupervisorLink,
         telemetry: Telemetry,
         *,
         wait: bool = False,
@@ -84,7 +84,7 @@ class TrialLoop:
         self._task = task
         self._skill = skill
         self._identity = identity
-        self._orders = orders
+        self._link = link
         self._wait = wait
         self._telemetry = telemetry
         self._seed = identity.seed
@@ -96,8 +96,8 @@ class TrialLoop:
 
         Raises:
             CrkrError: The server refuses, is away for longer than the patience, or proposes only goals that are out of
-                bounds or not finite. Such a goal moves nothing and is no trial: telemetry alone tells of it.
-            Stopped: The launcher wants this process to end.
+                bounds or not finite. Such a goal is not executed, and only telemetry shows it.
+            Stopped: The supervisor wants this process to end.
         """
         while True:
             try:
@@ -106,7 +106,7 @@ class TrialLoop:
                 trial = None
             if trial is not None:
                 return trial
-            # Another launcher was started with the same seed at the same log position.
+            # Another supervisor was started with the same seed at the same log position.
             self._seed = unpredictable_seed()
             self._rng = training_rng(self._seed, self._identity.first_seq)
             logger.warning("another worker uses this seed; %s draws a new one", self._identity.worker)
@@ -118,7 +118,7 @@ class TrialLoop:
         result = self._skill.execute(answer.goal)
         executed = time.monotonic()
         trial = tried(self._task, answer, result, self._identity.worker)
-        receipt = self._orders.insist(lambda: self._task.report_trials([trial], wait=self._wait))
+        receipt = self._link.retry_while_away(lambda: self._task.report_trials([trial], wait=self._wait))
         if not (receipt.accepted or self._is_mine(trial, receipt)):
             return None
         timing = _timing(started, predicted, executed, time.monotonic())
@@ -126,14 +126,14 @@ class TrialLoop:
         return trial
 
     def _ask(self) -> tuple[Prediction, float]:
-        """The answer in the next situation whose goal may be tried, and when it was asked for."""
+        """The answer for the next situation whose goal may be tried, and when it was asked for."""
         low, high = self._task.spec.bounds
         for _ in range(_MOST_REFUSED):
             self._count += 1
             trial_id = training_id(self._task.name, self._seed, self._identity.first_seq, self._count)
             state = self._skill.reset(self._rng)
             started = time.monotonic()
-            answer = self._orders.insist(partial(self._predict, state, trial_id))
+            answer = self._link.retry_while_away(partial(self._predict, state, trial_id))
             if np.all((answer.goal >= low) & (answer.goal <= high)):  # NaN is neither
                 return answer, started
             self._telemetry.refused(answer, self._identity.worker)
@@ -148,17 +148,17 @@ class TrialLoop:
             return self._task.predict(state, explore=True, trial_ids=[trial_id], worker=self._identity.worker)
         except Internal as error:
             refused = error.details.get("prediction")
-            if isinstance(refused, Prediction):  # it is told with what was proposed
+            if isinstance(refused, Prediction):  # the proposal that the client refused
                 return refused
             raise
 
     def _is_mine(self, trial: Trial, receipt: Receipt) -> bool:
-        """Whether a duplicate is this worker's own, stored by an attempt whose answer was lost; the log names who."""
+        """Whether a duplicate is this worker's own, stored by an attempt whose answer was lost."""
         before = receipt.seqs[0] - 1
-        page, _ = self._orders.insist(lambda: self._task.samples(before, 1))
+        page, _ = self._link.retry_while_away(lambda: self._task.samples(before, 1))
         return any(stored.trial.id == trial.id and stored.trial.worker == trial.worker for stored in page)
 
-    def _show(self, trial: Trial, receipt: Receipt, answer: Prediction, result: Outcome, timing: Timing) -> None:
+    def _show(self, trial: Trial, receipt: Receipt, answer: Prediction, result: TrialResult, timing: Timing) -> None:
         self._telemetry.publish(
             trial,
             receipt.seqs[0],

@@ -19,12 +19,12 @@ from crkr.sim_worker.table_tennis.ball.constants import (
 )
 from crkr.sim_worker.table_tennis.ball.flight import Ball, bounce, flight
 from crkr.sim_worker.table_tennis.environments.partial_scenes import ArmAlone, BallAlone
+from crkr.sim_worker.table_tennis.environments.play import Diverged
 from crkr.sim_worker.table_tennis.environments.simulation import (
     BALL_POSITION,
     BALL_ROTATION,
     BALL_SPIN,
     BALL_VELOCITY,
-    Diverged,
     Simulation,
     load_spec,
     rotated,
@@ -198,7 +198,8 @@ def test_a_breakdown_writes_no_file(tmp_path: Path) -> None:
     program = (
         "import numpy as np\n"
         "from crkr.sim_worker.table_tennis.planner import HOME\n"
-        "from crkr.sim_worker.table_tennis.environments.simulation import Diverged, Simulation\n"
+        "from crkr.sim_worker.table_tennis.environments.play import Diverged\n"
+        "from crkr.sim_worker.table_tennis.environments.simulation import Simulation\n"
         "simulation = Simulation()\n"
         "start = simulation.start(HOME, np.array([0.5, 0.1, 1.2, 1e12, 0.0, 0.0]))\n"
         "try:\n"

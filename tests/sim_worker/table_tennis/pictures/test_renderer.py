@@ -10,7 +10,7 @@ from matplotlib.image import imread
 from crkr.protocol import Invalid
 from crkr.sim_worker.skill import SkillOptions
 from crkr.sim_worker.table_tennis.environments.simulation import Simulation
-from crkr.sim_worker.table_tennis.pictures.renderer import Artist, save_picture
+from crkr.sim_worker.table_tennis.pictures.renderer import SceneRenderer, save_picture
 from crkr.sim_worker.table_tennis.pictures.trace import Motion
 from crkr.sim_worker.table_tennis.pictures.trial_picture import check_kind, planned, render_trial
 from crkr.sim_worker.table_tennis.table_tennis import TableTennis
@@ -27,7 +27,7 @@ def motion(skill: TableTennis) -> Motion:
 
 
 def test_frames_differ_where_arm_and_ball_moved(simulation: Simulation, motion: Motion) -> None:
-    with Artist(simulation, 320, 180) as artist:
+    with SceneRenderer(simulation, 320, 180) as artist:
         first, again, last = (artist.frame(motion, row) for row in (0, 0, -1))
     assert first.shape == (180, 320, 3)
     assert (first == again).all()
@@ -39,7 +39,7 @@ def test_frames_differ_where_arm_and_ball_moved(simulation: Simulation, motion: 
 def test_a_picture_shows_ball_and_paddle_in_their_colours(
     simulation: Simulation, motion: Motion, tmp_path: Path
 ) -> None:
-    with Artist(simulation, 640, 360) as artist:
+    with SceneRenderer(simulation, 640, 360) as artist:
         save_picture(artist, motion, tmp_path / "trial.png")
         with pytest.raises(Invalid, match=r"\.png"):
             save_picture(artist, motion, tmp_path / "trial.jpg")
@@ -54,7 +54,7 @@ def test_an_exposure_shows_what_moves_at_every_moment_and_the_arm_solid_at_one(
     simulation: Simulation, motion: Motion
 ) -> None:
     last = len(motion.time) - 1
-    with Artist(simulation, 320, 180) as artist:
+    with SceneRenderer(simulation, 320, 180) as artist:
         still, first = artist.exposure(motion, [last], last), artist.exposure(motion, [0, last], last)
         other = artist.exposure(motion, [0, last], 0)
         alone = artist.frame(motion, last)
@@ -69,7 +69,7 @@ def test_the_balls_path_changes_colour_at_the_hit_time(simulation: Simulation, s
     assert moved is not None
     hit = int(np.searchsorted(moved.time, moved.hit_time))
     pale, strong = [], []
-    with Artist(simulation, 320, 180) as artist:
+    with SceneRenderer(simulation, 320, 180) as artist:
         for row in (hit - 1, len(moved.time) - 1):
             red, green, blue = np.moveaxis(artist.frame(moved, row) / 255, 2, 0)
             pale.append(((red > 0.6) & (green > 0.55) & (red - blue > 0.1)).sum())
@@ -91,7 +91,7 @@ def test_a_sequence_shows_six_moments_each_with_a_caption(
     moved = skill.film(state, goal, 0.01)
     assert moved is not None
     assert moved.hit_time == goal[12]
-    with Artist(simulation, 320, 180) as artist:
+    with SceneRenderer(simulation, 320, 180) as artist:
         for panel, time in ((panels[0], 0.0), (panels[3], goal[12]), (panels[5], moved.time[-1])):
             frame = artist.frame(moved, int(np.abs(moved.time - time).argmin())) / 255
             assert np.abs(panel - frame)[30:].max() < 0.01

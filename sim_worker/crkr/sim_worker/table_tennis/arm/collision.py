@@ -1,4 +1,4 @@
-"""Whether a motion of the arm would touch the table or the arm itself, by Coal on the shapes of the scene."""
+"""Collisions of the arm with the table or itself, by Coal on the shapes of the scene."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Floats = NDArray[np.float64]
 
 MARGIN = 0.01  # [m]
 OBSTACLES = ("table",)  # the net is out of the reach of the stretched arm, by more than 10 cm
-# Upper arm and shoulder never get near the table without the forearm.
+# Upper arm and shoulder never come near the table before the forearm does.
 MOVING = ("elbow", "forearm", "wrist_1", "wrist_2", "wrist_3", "handle", "paddle")
 # Parts of the arm that can meet. Neighbours always touch; others never can, e.g. elbow and hand.
 ITSELF: Final = {
@@ -35,8 +35,8 @@ class CollisionCheck:
 
     Args:
         arm: Its kinematics and shapes.
-        itself: Also check the arm and its paddle against the arm and its pedestal, in every second row: links are
-            so thick that what passes between two knots of a swing dips into another by less than the margin.
+        itself: Also check arm and paddle against the arm and its pedestal, in every second row: links are so thick
+            that between two knots of a swing they overlap by less than the margin.
     """
 
     def __init__(self, arm: Arm, *, itself: bool = False) -> None:

@@ -1,21 +1,39 @@
-"""How a swing is tracked: feedback around it, and its inverse dynamics fed forward."""
+"""Controls that track a swing: feedback around it plus its inverse dynamics, fed forward."""
 
 from __future__ import annotations
+
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from crkr.sim_worker.primitives.joint_trajectory import JointTrajectory
+from crkr.sim_worker.primitives.joint_motion import JointTrajectory
 from crkr.sim_worker.table_tennis.arm.dynamics import Arm
-from crkr.sim_worker.table_tennis.environments.simulation import Gains
 
-__all__ = ["controls"]
+__all__ = ["Gains", "controls"]
 
 Floats = NDArray[np.float64]
 
 
+class Gains(NamedTuple):
+    """Feedback gains of the actuators.
+
+    Attributes:
+        stiffness: (6,) [N m/rad].
+        damping: (6,) [N m s/rad].
+    """
+
+    stiffness: Floats
+    damping: Floats
+
+    @classmethod
+    def of(cls, model: Any) -> Gains:
+        """The gains of a compiled MuJoCo model."""
+        return cls(-np.array(model.actuator_biasprm[:, 1]), -np.array(model.actuator_biasprm[:, 2]))
+
+
 def controls(arm: Arm, gains: Gains, swing: JointTrajectory, times: Floats) -> Floats:
-    """Actuator controls (n, 6) [N m] at `times` (n,) [s] from the swing's start; scene.xml has the law they enter."""
+    """Actuator controls (n, 6) [N m] at `times` (n,) [s] from the swing's start; scene.xml has the control law."""
     position, velocity, _ = swing.sample(times)
     return np.asarray(gains.stiffness * position + gains.damping * velocity + _feed_forward(arm, swing, times))
 

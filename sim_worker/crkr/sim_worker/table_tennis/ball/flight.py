@@ -124,7 +124,7 @@ def bounce(
     arm = -radius * normal
     slip = relative + approach * normal + np.cross(spin, arm)
     speed = np.sqrt((slip * slip).sum(axis=-1, keepdims=True))
-    # What stops the slip altogether, for a sphere that must be spun up as well as slowed down.
+    # The impulse that stops the slip, for a sphere that it spins up as well as slows down.
     stop = speed * SPIN_INERTIA / (1 + SPIN_INERTIA)
     change = np.minimum(friction * (1 + restitution) * approach, stop)
     tangential = -slip * (change / np.maximum(speed, 1e-300))

@@ -16,7 +16,7 @@ from crkr.sim_worker.table_tennis.ball.constants import (
     TABLE_RESTITUTION,
 )
 from crkr.sim_worker.table_tennis.ball.flight import STEP, Ball, Curl, bounce, curl_of, fly, fly_to_height
-from crkr.sim_worker.table_tennis.environments.simulation import Diverged
+from crkr.sim_worker.table_tennis.environments.play import Diverged
 
 __all__ = ["FreeBall", "Incoming"]
 
@@ -29,7 +29,7 @@ TOUCH_HEIGHT: Final = TABLE_HEIGHT + BALL_RADIUS
 
 @final
 class Incoming:
-    """What a ball does that nobody hits, for `duration` [s] from its snapshot (6,), where it has no spin.
+    """The flight of a ball that is not hit, for `duration` [s] from its snapshot (6,), without spin at first.
 
     Args:
         snapshot: (6,) position [m] and velocity [m/s].

@@ -1,4 +1,4 @@
-"""Where balls come from: uniform launches, kept if they are a fair feed, measured as they pass x = +0.5 m."""
+"""Distributions of incoming balls: uniform launches, kept if fair, measured as they pass x = +0.5 m."""
 
 from __future__ import annotations
 
@@ -58,11 +58,11 @@ class Launcher:
             snapshot = snapshot_of(Ball(*rng.uniform(self.low, self.high).tolist()))
             if snapshot is not None:
                 return np.array(snapshot)
-        raise RuntimeError(f"launcher {self.name}: none of {MOST_DRAWS} launches is a fair feed; widen its ranges")
+        raise RuntimeError(f"launcher {self.name}: none of {MOST_DRAWS} launches is fair; widen its ranges")
 
 
 def snapshot_of(launch: Ball) -> Ball | None:
-    """The ball at the snapshot; None unless it comes there, clears the net and bounces once on the robot's side."""
+    """The ball at the snapshot; None unless it is fair: it clears the net and bounces once on the robot's side."""
     measured = fly_to_x(launch, SNAPSHOT_X)
     if measured is None or measured[1].z <= BOUNCE_HEIGHT or measured[1].vx >= 0:
         return None
@@ -78,7 +78,7 @@ def snapshot_of(launch: Ball) -> Ball | None:
 
 
 def _leaves_the_table(ball: Ball) -> bool:
-    """Whether a ball that touches the table does so once only."""
+    """Whether a ball that touches the table does so only once."""
     velocity, _ = bounce(
         np.array(ball[3:]),
         np.zeros(3),

@@ -1,4 +1,4 @@
-"""When an exact ball meets a moving paddle, and how it leaves."""
+"""The impact of a ball on a moving paddle, by formulas: when it happens, and how the ball leaves."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Floats = NDArray[np.float64]
 
 
 class FaceMotion(NamedTuple):
-    """How arm and paddle moved, in rows of successive times.
+    """The motion of arm and paddle, in rows of successive times.
 
     Attributes:
         times: (n,) [s], equally spaced from 0.
@@ -52,7 +52,7 @@ class FaceMotion(NamedTuple):
 
 
 def played(arm: Arm, incoming: Incoming, face: FaceMotion, hit_time: float) -> Play:
-    """What an exact ball and a given motion of the paddle make of each other."""
+    """The play of a ball and a given motion of the paddle."""
     path = incoming.positions(face.times)
     step = float(face.times[1])
     row = meeting(path, face.centres, face.normals)

@@ -1,9 +1,9 @@
 """The analytic environment for thousands of balls at once.
 
-It keeps the closed-form swing and every formula of flight and impact. It departs from the scalar environment in this:
-a swing whose limits bind is refused only where full acceleration could not do it either, and moves near the hit as if
-no limit bound; the table is checked for the blade only, at the hit and where the swing ends; a touch more than 60 ms
-from the hit time is no touch.
+It has the closed-form swing and every formula of flight and impact of the scalar environment, with three differences:
+a swing whose limits bind is refused only where full acceleration would not suffice, and moves near the hit as if no
+limit bound; only the blade is checked against the table, at the hit and at the end of the swing; a touch more than
+60 ms from the hit time does not count.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Final, NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
-from crkr.sim_worker.primitives.stroke_program import SwingProgram
+from crkr.sim_worker.primitives.quadratic_program import StrokeProgram
 from crkr.sim_worker.table_tennis.arm.collision import MARGIN
 from crkr.sim_worker.table_tennis.arm.dynamics import ACCELERATION_LIMITS, SPEED_LIMITS, Arm
 from crkr.sim_worker.table_tennis.arm.forward_kinematics import Chain, Faces
@@ -34,7 +34,7 @@ from crkr.sim_worker.table_tennis.ball.constants import (
 )
 from crkr.sim_worker.table_tennis.ball.flight import Ball, bounce, fly
 from crkr.sim_worker.table_tennis.planner import HOME
-from crkr.sim_worker.table_tennis.tracker import COST_WIDTH, TOUCH_HEIGHT
+from crkr.sim_worker.table_tennis.tracker import TOUCH_HEIGHT, cost_of
 
 __all__ = ["AnalyticBatch", "BatchResult"]
 
@@ -44,11 +44,11 @@ Flags = NDArray[np.bool_]
 PIECES: Final = 6  # integration steps of a flight; 1e-5 m over a second
 LONGEST_FLIGHT: Final = 3.0  # [s], as for one ball
 LONGEST_TOUCH: Final = 0.06  # [s] from the hit time
-INTERVALS, HIT_INTERVAL, SMOOTHNESS = 45, 25, 20.0  # as `Primitive` has them
+INTERVALS, HIT_INTERVAL, SMOOTHNESS = 45, 25, 20.0  # the defaults of `Primitive`
 
 
 class BatchResult(NamedTuple):
-    """How b swings ended.
+    """The results of b swings.
 
     Attributes:
         executed: (b,) whether the swing was allowed.
@@ -71,7 +71,7 @@ class AnalyticBatch:
 
     def __init__(self, arm: Arm) -> None:
         self._chain = Chain(arm)
-        program = SwingProgram(INTERVALS, HIT_INTERVAL, SMOOTHNESS)
+        program = StrokeProgram(INTERVALS, HIT_INTERVAL, SMOOTHNESS)
         self._accelerations = program.spread  # (N, 3): of the swing, per unit of each target
         self._way = program.limited[2 * INTERVALS : 3 * INTERVALS] @ program.spread  # (N, 3)
 
@@ -92,7 +92,7 @@ class AnalyticBatch:
         at_hit = fly(after, np.where(early, -delay, 0.0))
         ball = Ball(*(np.where(early, hit, free) for hit, free in zip(at_hit, incoming, strict=True)))
         distance = np.sqrt(((np.stack(ball[:3], axis=1) - face) ** 2).sum(axis=1))
-        cost = np.where(executed, -np.expm1(-0.5 * (distance / COST_WIDTH) ** 2), np.nan)
+        cost = np.where(executed, cost_of(distance), np.nan)
         paper, strict = _returned(after)
         return BatchResult(executed, cost, touched, touched & paper, touched & strict)
 

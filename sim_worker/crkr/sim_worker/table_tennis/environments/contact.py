@@ -7,7 +7,7 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
-from crkr.sim_worker.primitives.joint_trajectory import JointTrajectory
+from crkr.sim_worker.primitives.joint_motion import JointTrajectory
 from crkr.sim_worker.table_tennis.arm import tracking
 from crkr.sim_worker.table_tennis.arm.dynamics import Arm
 from crkr.sim_worker.table_tennis.ball.flight import Ball, Curl, curl_of, flight

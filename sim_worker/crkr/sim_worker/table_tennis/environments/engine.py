@@ -1,4 +1,4 @@
-"""MuJoCo, imported whatever MUJOCO_GL says: only what draws needs OpenGL, and learning draws nothing."""
+"""MuJoCo, imported without OpenGL whatever MUJOCO_GL says; a renderer loads OpenGL when it is made."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ BACKENDS: Final = {"egl": "mujoco.egl", "osmesa": "mujoco.osmesa", "glfw": GLFW,
 
 @contextmanager
 def _without_opengl() -> Iterator[None]:
-    """MuJoCo looks at the variable while it is imported, and fails there if it cannot have what that names."""
+    """Hides MUJOCO_GL during the import, which fails if the backend that it names is missing."""
     before = os.environ.get("MUJOCO_GL")
     os.environ["MUJOCO_GL"] = "disable"
     try:
@@ -41,7 +41,7 @@ with _without_opengl():
     from mujoco.rollout import Rollout
 
 
-with suppress(Exception):  # for skills that draw by themselves; `make_renderer` tells of faults
+with suppress(Exception):  # for skills that draw by themselves; `make_renderer` reports errors
     if ASKED not in OFF:
         gl_context.GLContext = importlib.import_module(BACKENDS["glfw" if ASKED in ANY else ASKED]).GLContext
 
@@ -56,7 +56,7 @@ def make_renderer(model: Any, height: int, width: int) -> Any:
         raise Unsupported(f"MUJOCO_GL={ASKED} switches rendering off; unset it to draw")
     if ASKED not in (*ANY, *BACKENDS):
         raise Unsupported(f"MUJOCO_GL={ASKED} cannot be used here; unset it, or name one of {', '.join(BACKENDS)}")
-    # One of them only: where the first had failed, the second would abort the process in MuJoCo.
+    # Only one of them: after a failure, a second one would abort the process in MuJoCo.
     backend = BACKENDS[ASKED] if ASKED in BACKENDS else GLFW if _has_display() else BACKENDS["egl"]
     try:
         if backend == GLFW and not _has_display():
@@ -83,8 +83,8 @@ def _has_display() -> bool:
 
 
 def _renderer(backend: str, model: Any, height: int, width: int) -> Any:
-    os.environ.pop("PYOPENGL_PLATFORM", None)  # of another program: each backend sets its own, and refuses others'
+    os.environ.pop("PYOPENGL_PLATFORM", None)  # each backend sets its own value and refuses others
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # GLFW warns of what it then raises
+        warnings.simplefilter("ignore")  # GLFW warns before it raises
         gl_context.GLContext = importlib.import_module(backend).GLContext
         return mujoco.Renderer(model, height, width)

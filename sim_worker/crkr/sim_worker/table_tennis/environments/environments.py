@@ -1,22 +1,92 @@
-"""The environments by name: how swings are executed, and what predicts a ball there."""
+"""The environments by name, and the two that need no contact simulation.
+
+Whatever the environment, a swing against a ball gives one `Play`:
+
+* "contact": arm, ball, table and paddle in MuJoCo (`contact`);
+* "hybrid": the arm in MuJoCo, the ball by exact formulas, rigid impacts;
+* "analytic": no simulator; the arm follows its swing perfectly.
+"""
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Final, final
 
+import numpy as np
+from numpy.typing import NDArray
+
+from crkr.sim_worker.primitives.joint_motion import JointTrajectory
+from crkr.sim_worker.table_tennis.arm import tracking
 from crkr.sim_worker.table_tennis.arm.dynamics import Arm
-from crkr.sim_worker.table_tennis.ball.incoming import FreeBall
-from crkr.sim_worker.table_tennis.environments.analytic import AnalyticEnvironment
+from crkr.sim_worker.table_tennis.ball.incoming import FreeBall, Incoming
+from crkr.sim_worker.table_tennis.ball.strike import FaceMotion, played
 from crkr.sim_worker.table_tennis.environments.contact import ContactEnvironment
-from crkr.sim_worker.table_tennis.environments.hybrid import HybridEnvironment
 from crkr.sim_worker.table_tennis.environments.partial_scenes import ArmAlone, BallAlone
-from crkr.sim_worker.table_tennis.environments.play import Environment
+from crkr.sim_worker.table_tennis.environments.play import FOLLOW, Environment, Play
 from crkr.sim_worker.table_tennis.environments.simulation import Simulation
 from crkr.sim_worker.table_tennis.planner import Predictor
 
-__all__ = ["ENVIRONMENTS", "make_environment", "make_predictor"]
+__all__ = ["ENVIRONMENTS", "AnalyticEnvironment", "HybridEnvironment", "make_environment", "make_predictor"]
+
+Floats = NDArray[np.float64]
 
 ENVIRONMENTS: Final = ("contact", "hybrid", "analytic")
+INTERVAL: Final = 0.004  # between two paddle poses of the analytic environment [s]
+
+
+@final
+class HybridEnvironment:
+    """Executes swings with a simulated arm and an event-driven ball; the ball does not push the arm back.
+
+    Args:
+        arm: Kinematics and dynamics.
+        alone: The simulated arm.
+        magnus: Whether a spinning ball is lifted.
+    """
+
+    def __init__(self, arm: Arm, alone: ArmAlone, *, magnus: bool = False) -> None:
+        self._arm = arm
+        self._alone = alone
+        self._magnus = magnus
+
+    def play(self, ball: Floats, swing: JointTrajectory, hit_time: float) -> Play:
+        """Executes `swing` against the ball measured as `ball` (6,) at time 0.
+
+        Raises:
+            Diverged: The simulator failed, or `ball` is not a ball's state.
+        """
+        step = self._alone.timestep
+        times = np.arange(int(np.ceil((hit_time + FOLLOW) / step)) + 1, dtype=np.float64) * step
+        controls = tracking.controls(self._arm, self._alone.gains, swing, times[:-1])
+        record = self._alone.run(swing.position[0], controls)
+        face = FaceMotion(times, record.joints, record.speeds, record.centres, record.normals)
+        return played(self._arm, Incoming(ball, float(times[-1]), magnus=self._magnus), face, hit_time)
+
+
+@final
+class AnalyticEnvironment:
+    """Executes swings by formulas alone.
+
+    Args:
+        arm: Kinematics.
+        magnus: Whether a spinning ball is lifted.
+    """
+
+    def __init__(self, arm: Arm, *, magnus: bool = False) -> None:
+        self._arm = arm
+        self._magnus = magnus
+
+    def play(self, ball: Floats, swing: JointTrajectory, hit_time: float) -> Play:
+        """Executes `swing` against the ball measured as `ball` (6,) at time 0.
+
+        Raises:
+            Diverged: `ball` is not a ball's state.
+        """
+        times = np.arange(int(np.ceil((hit_time + FOLLOW) / INTERVAL)) + 1, dtype=np.float64) * INTERVAL
+        joints, speeds, _ = swing.sample(times)
+        faces = [self._arm.paddle(row) for row in joints]
+        centres, normals = np.array([face.position for face in faces]), np.array([face.normal for face in faces])
+        incoming = Incoming(ball, float(times[-1]), magnus=self._magnus)
+        return played(self._arm, incoming, FaceMotion(times, joints, speeds, centres, normals), hit_time)
 
 
 def make_environment(name: str, arm: Arm, simulation: Simulation) -> Environment:
@@ -29,5 +99,5 @@ def make_environment(name: str, arm: Arm, simulation: Simulation) -> Environment
 
 
 def make_predictor(name: str, *, magnus: bool = False) -> Predictor:
-    """What a ball does that nobody hits, in the environment of that name."""
+    """Predicts a ball that is not hit, in the environment of that name."""
     return BallAlone(magnus=magnus) if name == "contact" else FreeBall(magnus=magnus)

@@ -7,8 +7,9 @@ from typing import Any, Final, NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
+from crkr.sim_worker.table_tennis.arm.tracking import Gains
 from crkr.sim_worker.table_tennis.environments.engine import Rollout, mujoco
-from crkr.sim_worker.table_tennis.environments.simulation import Gains, check_sound, load_spec, rotated
+from crkr.sim_worker.table_tennis.environments.simulation import check_sound, load_spec, rotated
 
 __all__ = ["ArmAlone", "ArmRecording", "BallAlone"]
 
@@ -17,7 +18,7 @@ Floats = NDArray[np.float64]
 
 @final
 class BallAlone:
-    """The same physics without the arm: what a ball does that nobody hits.
+    """The same physics without the arm: a ball that is not hit.
 
     Args:
         magnus: Whether a spinning ball is lifted.

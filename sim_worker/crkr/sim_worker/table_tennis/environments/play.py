@@ -1,4 +1,4 @@
-"""What a trial leaves behind to be judged: the same for every environment."""
+"""What an environment does with a swing: one `Play`, which the tracker judges, or `Diverged`."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from typing import Final, Protocol, final
 import numpy as np
 from numpy.typing import NDArray
 
-from crkr.sim_worker.primitives.joint_trajectory import JointTrajectory
+from crkr.sim_worker.primitives.joint_motion import JointTrajectory
 from crkr.sim_worker.table_tennis.arm.dynamics import Paddle
 from crkr.sim_worker.table_tennis.ball.flight import Ball, Curl
 
-__all__ = ["FOLLOW", "Environment", "Play"]
+__all__ = ["FOLLOW", "Diverged", "Environment", "Play"]
 
 Floats = NDArray[np.float64]
 
@@ -49,6 +49,10 @@ class Play:
     joints: Floats
     path: Floats
     curl: Curl = None
+
+
+class Diverged(Exception):
+    """The simulator warned or its numbers are not finite: nothing was measured."""
 
 
 class Environment(Protocol):

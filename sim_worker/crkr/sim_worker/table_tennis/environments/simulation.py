@@ -11,10 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crkr.sim_worker.skill import Geom
+from crkr.sim_worker.table_tennis.arm.tracking import Gains
 from crkr.sim_worker.table_tennis.ball.constants import BALL_MASS, BALL_RADIUS, MAGNUS
 from crkr.sim_worker.table_tennis.environments.engine import Rollout, mujoco
+from crkr.sim_worker.table_tennis.environments.play import Diverged
 
-__all__ = ["Diverged", "Gains", "Recording", "Simulation", "load_spec", "rotated"]
+__all__ = ["Recording", "Simulation", "load_spec", "rotated"]
 
 Floats = NDArray[np.float64]
 
@@ -43,27 +45,6 @@ def _to_log(message: str) -> None:
 # Unless told otherwise, MuJoCo writes its warnings to a file in the working directory; `Diverged` carries them instead.
 if mujoco.get_mju_user_warning() is None:
     mujoco.set_mju_user_warning(_to_log)
-
-
-class Diverged(Exception):
-    """The simulator warned or left the finite numbers; the trial says nothing."""
-
-
-class Gains(NamedTuple):
-    """Feedback of the actuators.
-
-    Attributes:
-        stiffness: (6,) [N m/rad].
-        damping: (6,) [N m s/rad].
-    """
-
-    stiffness: Floats
-    damping: Floats
-
-    @classmethod
-    def of(cls, model: Any) -> Gains:
-        """The gains of a compiled scene."""
-        return cls(-np.array(model.actuator_biasprm[:, 1]), -np.array(model.actuator_biasprm[:, 2]))
 
 
 class Recording(NamedTuple):

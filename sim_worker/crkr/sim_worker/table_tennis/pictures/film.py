@@ -1,4 +1,4 @@
-"""Frames to a film on disk: H.264 by PyAV, or a GIF by Pillow."""
+"""Films on disk: H.264 by PyAV, or a GIF by Pillow."""
 
 from __future__ import annotations
 
@@ -62,6 +62,6 @@ def _save_mp4(first: Picture, others: Iterable[Picture], path: Path, rate: int) 
 def _save_gif(first: Picture, others: Iterable[Picture], path: Path, rate: int) -> None:
     from PIL import Image
 
-    # The octree keeps the colours of what is small, as ball and paddle are; the default's are those of the floor.
+    # The octree keeps the colours of small things, such as ball and paddle; the default spends them on the floor.
     kept = [Image.fromarray(picture).quantize(method=Image.Quantize.FASTOCTREE) for picture in (first, *others)]
     kept[0].save(path, save_all=True, append_images=kept[1:], duration=round(1000 / rate), loop=0)

@@ -22,7 +22,7 @@ STRIDE: Final = 0.05  # how far an arrow shows the paddle's motion [s]
 
 
 def varied(spec: TaskSpec, name: str, points: int, base: Sequence[float] | None = None) -> tuple[int, Floats]:
-    """Index of the state's coordinate `name` and states (points, d) in which only that goes through its box.
+    """Index of the state's coordinate `name`, and states (points, d) in which only that coordinate varies over its box.
 
     Args:
         spec: Of the task.
@@ -31,7 +31,7 @@ def varied(spec: TaskSpec, name: str, points: int, base: Sequence[float] | None 
         base: (d,) values of the others; None is the middle of their boxes.
 
     Raises:
-        Invalid: No such coordinate, a base of another length, or a task with other goals than table tennis.
+        Invalid: There is no such coordinate, the base has another length, or the goals are not those of table tennis.
     """
     names = [axis.name for axis in spec.state]
     if name not in names:

@@ -16,7 +16,7 @@ from crkr.sim_worker.table_tennis.environments.simulation import Simulation
 from crkr.sim_worker.table_tennis.pictures.film import Picture
 from crkr.sim_worker.table_tennis.pictures.trace import Motion
 
-__all__ = ["Artist", "save_picture", "save_sequence"]
+__all__ = ["SceneRenderer", "save_picture", "save_sequence"]
 
 CAMERA: Final = "side"  # of the scene
 HIT: Final = 3  # which of the six moments is the hit time
@@ -27,7 +27,7 @@ RETURNED: Final = np.array([1.0, 0.45, 0.05, 1.0], dtype=np.float32)
 
 
 @final
-class Artist:
+class SceneRenderer:
     """Draws the scene. Use as a context manager; one object serves one thread.
 
     Args:
@@ -36,7 +36,7 @@ class Artist:
         height: [pixels].
 
     Raises:
-        Unsupported: This machine cannot render, not even in software, or MUJOCO_GL names what it does not have.
+        Unsupported: This machine cannot render, or not as MUJOCO_GL demands.
     """
 
     def __init__(self, simulation: Simulation, width: int = 1280, height: int = 720) -> None:
@@ -54,7 +54,7 @@ class Artist:
         self._renderer.close()
 
     def frames(self, motion: Motion) -> Iterator[Picture]:
-        """Every row of a motion, one after the other."""
+        """Draws every row of a motion in turn."""
         return (self.frame(motion, row) for row in range(len(motion.time)))
 
     def frame(self, motion: Motion, row: int) -> Picture:
@@ -82,7 +82,7 @@ class Artist:
         mujoco.mj_forward(self._simulation.model, data)
 
     def _add_ghost(self) -> None:
-        """What moves, once more, where it is posed now."""
+        """Adds the moving bodies in their current pose."""
         model, scene = self._simulation.model, self._renderer.scene
         first, moving = scene.ngeom, mujoco.mjtCatBit.mjCAT_DYNAMIC.value
         mujoco.mjv_addGeoms(model, self._data, mujoco.MjvOption(), mujoco.MjvPerturb(), moving, scene)
@@ -91,7 +91,7 @@ class Artist:
                 shape.rgba[3] *= GHOST
 
     def _draw_path(self, motion: Motion, until: int) -> None:
-        """The ball's path, on its way in and after the hit time in two colours."""
+        """Adds the ball's path, in one colour before the hit time and another after it."""
         scene, capsule = self._renderer.scene, mujoco.mjtGeom.mjGEOM_CAPSULE
         for time, start, end in zip(motion.time[:until], motion.ball[:until], motion.ball[1:], strict=False):
             if scene.ngeom == scene.maxgeom:
@@ -103,7 +103,7 @@ class Artist:
             scene.ngeom += 1
 
 
-def save_picture(artist: Artist, motion: Motion, path: Path) -> None:
+def save_picture(artist: SceneRenderer, motion: Motion, path: Path) -> None:
     """Saves six moments in one picture as a .png, the arm solid at the hit time and see-through at the others.
 
     Raises:
@@ -119,8 +119,8 @@ def save_picture(artist: Artist, motion: Motion, path: Path) -> None:
         picture.save(partial)
 
 
-def save_sequence(artist: Artist, motion: Motion, path: Path) -> None:
-    """Saves six moments one beside the other, numbered and with their times, in two rows, as a .png.
+def save_sequence(artist: SceneRenderer, motion: Motion, path: Path) -> None:
+    """Saves six moments side by side in two rows, numbered and with their times, as a .png.
 
     Raises:
         Invalid: Another suffix.

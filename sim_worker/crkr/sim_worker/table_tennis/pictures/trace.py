@@ -1,4 +1,4 @@
-"""A trial for people to look at: body poses and the ball's path at about film rate."""
+"""A trial as displays show it: body poses and the ball's path at about film rate."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crkr.protocol import Trace
-from crkr.sim_worker.primitives.joint_trajectory import JointTrajectory
+from crkr.sim_worker.primitives.joint_motion import JointTrajectory
 from crkr.sim_worker.table_tennis.environments.play import Play
 from crkr.sim_worker.table_tennis.environments.simulation import Simulation
 from crkr.sim_worker.table_tennis.tracker import Verdict, rally

@@ -1,31 +1,34 @@
-"""A picture or a film of one trial."""
+"""A picture or a film of one trial: planned, proposed by a policy, or stored and played again."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Final
+from uuid import UUID
 
 import numpy as np
 from numpy.typing import NDArray
 
-from crkr.protocol import Invalid
+from crkr.client import Task
+from crkr.protocol import Invalid, Trial
 from crkr.sim_worker.randomness import fresh_rng
-from crkr.sim_worker.skill import Outcome
+from crkr.sim_worker.skill import TrialResult
 from crkr.sim_worker.table_tennis.environments.simulation import Simulation
 from crkr.sim_worker.table_tennis.pictures.film import FILMS, save_film
-from crkr.sim_worker.table_tennis.pictures.renderer import Artist, save_picture, save_sequence
+from crkr.sim_worker.table_tennis.pictures.renderer import SceneRenderer, save_picture, save_sequence
 from crkr.sim_worker.table_tennis.table_tennis import TableTennis
 
-__all__ = ["check_kind", "planned", "render_trial"]
+__all__ = ["check_kind", "compared", "planned", "render_trial", "stored_trial"]
 
 Floats = NDArray[np.float64]
 
+SHAPE: Final = (6, 13)  # numbers of a state and of a goal of table tennis
 PICTURE_INTERVAL: Final = 0.01  # between points of the ball's path in a picture [s]
 RATE: Final = 25  # frames a second: a GIF, which counts in hundredths of a second, can keep it
 
 
 def check_kind(path: Path, *, sequence: bool = False, slow: float = 1.0) -> None:
-    """Raises `Invalid` now rather than after the drawing if nothing could be saved at `path`."""
+    """Raises `Invalid`, before anything is drawn, where nothing could be saved at `path`."""
     if sequence and path.suffix != ".png":
         raise Invalid(f"a sequence of moments is a .png; got {path.name}")
     if path.suffix not in (".png", *FILMS):
@@ -59,11 +62,11 @@ def render_trial(
     height: int = 720,
     sequence: bool = False,
     slow: float = 1.0,
-) -> Outcome:
+) -> TrialResult:
     """Plays a goal against a ball, draws it and saves what was drawn.
 
     Args:
-        skill: Who plays, in the environment that it was made with.
+        skill: Plays, in the environment that it was made with.
         state: (6,) the ball at the snapshot.
         goal: (13,) to try.
         path: A .png for one picture of several moments, a .mp4 or .gif for a film.
@@ -84,8 +87,8 @@ def render_trial(
     motion = skill.film(state, goal, PICTURE_INTERVAL if path.suffix == ".png" else 1 / (RATE * slow))
     outcome = skill.attempt(state, goal)
     if motion is None:
-        raise Invalid(f"nothing to draw, for nothing moved: the goal is refused ({outcome.info['reason']})")
-    with Artist(Simulation(), width, height) as artist:
+        raise Invalid(f"nothing to draw, as nothing moved: the goal is refused ({outcome.info['reason']})")
+    with SceneRenderer(Simulation(), width, height) as artist:
         if sequence:
             save_sequence(artist, motion, path)
         elif path.suffix == ".png":
@@ -93,3 +96,37 @@ def render_trial(
         else:
             save_film(artist.frames(motion), path, RATE)
     return outcome
+
+
+def stored_trial(task: Task, trial_id: UUID) -> Trial:
+    """The trial of that id in the log of a task of table tennis.
+
+    Raises:
+        Invalid: The task has other states or goals, or no such trial.
+    """
+    shape = len(task.spec.state), len(task.spec.goal)
+    if shape != SHAPE:
+        raise Invalid(f"table tennis has states of {SHAPE[0]} and goals of {SHAPE[1]}; task {task.name!r} has {shape}")
+    for stored in task.iter_samples():
+        if stored.trial.id == trial_id:
+            return stored.trial
+    raise Invalid(f"task {task.name!r} has no trial {trial_id}; crkr explain and the dashboard show ids")
+
+
+def compared(trial: Trial, again: TrialResult) -> str:
+    """Says whether playing a trial again gave what was measured the first time."""
+    reason, cost = again.info["reason"], again.cost
+    if _same(trial, again):
+        return f"{reason}, cost {cost:.4f}: to the bit what was measured then"
+    before = trial.info.get("reason", "no reason")
+    told = "no cost" if trial.cost is None else f"cost {trial.cost:.4f}"
+    return (
+        f"{reason}, cost {cost:.4f}; the log says {before}, {told}: environment or skill differ "
+        "(see --environment and --skill)"
+    )
+
+
+def _same(trial: Trial, again: TrialResult) -> bool:
+    if trial.outcome is not None and again.outcome is not None:  # costs may have been corrected since
+        return bool(np.array_equal(trial.outcome, again.outcome, equal_nan=True))
+    return trial.cost == again.cost

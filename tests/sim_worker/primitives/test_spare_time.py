@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from crkr.sim_worker.primitives.joint_motion import spare_time
 from crkr.sim_worker.primitives.stroke import Infeasible, JointLimits, Primitive
-from crkr.sim_worker.table_tennis.arm.spare_time import spare_time
 
 LIMITS = JointLimits(np.full(1, -50.0), np.full(1, 50.0), np.array([2.0]), np.array([20.0]))
 HIT_TIMES = st.floats(0.2, 1.0)

@@ -1,4 +1,4 @@
-"""Follows a task through its log, without ever holding up the demo for long."""
+"""A task's log, read as it grows, with short deadlines so that the demo is never held up."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from crkr.client import Client, Task
 from crkr.protocol import CrkrError, UnknownTask
 from crkr.sim_worker.evaluation.run_history import RunHistory
 
-__all__ = ["Follower"]
+__all__ = ["LogFollower"]
 
 CALL_S: Final = 1.0
 STATUS_EVERY_S: Final = 1.0
@@ -18,8 +18,8 @@ WINDOW_S: Final = 5.0
 
 
 @final
-class Follower:
-    """Reads what is new in the log, and how the server is.
+class LogFollower:
+    """Reads what is new in the log, and the server's status.
 
     Args:
         client: A client with a short deadline.
@@ -27,7 +27,7 @@ class Follower:
 
     Attributes:
         history: The run so far; None until the task exists.
-        trained_before: Training trials that were there at `begin`.
+        trained_before: Training trials stored at `begin`.
         active: Samples in the model.
     """
 
@@ -45,15 +45,15 @@ class Follower:
         return self._task
 
     def begin(self) -> None:
-        """Takes what an earlier run left, before this one starts."""
-        self.look()
+        """Reads what an earlier run left, before this one starts."""
+        self.update()
         self.trained_before = 0 if self.history is None else self.history.trained
 
-    def look(self, *, thoroughly: bool = False) -> None:
-        """Takes what is new; a server that does not answer is asked again next time.
+    def update(self, *, thoroughly: bool = False) -> None:
+        """Reads what is new; a server that does not answer is asked again next time.
 
         Args:
-            thoroughly: Ask for the status too, whenever that was last done.
+            thoroughly: Ask for the status too, however recent the last one is.
         """
         try:
             if self.history is None:
@@ -84,7 +84,7 @@ class Follower:
         return ", ".join(parts)
 
     def result(self) -> dict[str, Any]:
-        """What the log says, as plain data for the summary."""
+        """The run so far, as plain data for the summary."""
         history = self.history
         if history is None:
             nothing = dict.fromkeys(("trials", "demonstrations", "trials_per_second", "samples"), 0)

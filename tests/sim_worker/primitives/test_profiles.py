@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 
 from crkr.protocol.errors import Invalid
-from crkr.sim_worker.primitives.demonstrated_profile import demonstrated_profile
+from crkr.sim_worker.primitives.profiles import demonstrated_profile, wind_up
 from crkr.sim_worker.primitives.stroke import JointLimits, Primitive
 
 Floats = NDArray[np.float64]
@@ -56,3 +56,12 @@ def test_a_recording_that_stops_after_the_hit_is_braked_to_rest() -> None:
 def test_a_recording_without_the_hit_is_invalid(time: list[float], hit_time: float) -> None:
     with pytest.raises(Invalid, match="time must hold"):
         demonstrated_profile(np.array(time), np.zeros((len(time), 2)), hit_time)
+
+
+def test_a_wind_up_moves_back_first_and_adds_no_speed_by_the_hit() -> None:
+    speeds = np.array([1.0, -2.0, 0.5])
+    profile = wind_up(speeds, 0.6)
+    velocity = np.cumsum(profile, axis=0) / 25 / 0.6  # [rad/s] at the knots
+    assert velocity[24] == pytest.approx(np.zeros(3), abs=1e-12)
+    assert (velocity[:24] * speeds < 0).all()
+    assert (profile[25:] == 0).all()

@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from crkr.sim_worker.evaluation.epochs import EpochClock
+from crkr.sim_worker.evaluation.epoch_schedule import EpochClock
 
 
 @given(st.lists(st.integers(0, 30), max_size=40))

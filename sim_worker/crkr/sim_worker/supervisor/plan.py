@@ -1,4 +1,4 @@
-"""What a launcher is asked to do, and what it did."""
+"""What one run of `crkr workers` is to do, and what it did."""
 
 from __future__ import annotations
 
@@ -9,27 +9,27 @@ from typing import Any, final
 
 from crkr.sim_worker.skill import SkillOptions
 
-__all__ = ["LaunchPlan", "LaunchReport"]
+__all__ = ["RunPlan", "RunReport"]
 
 
 @final
 @dataclass(frozen=True, slots=True)
-class LaunchPlan:
-    """A launcher's settings.
+class RunPlan:
+    """A supervisor's settings.
 
     Attributes:
         skill: Name of the skill.
         options: How each process makes it.
         endpoint: Where the server is.
         zenoh_config: Transport settings, or None.
-        workers: How many processes train and judge.
+        workers: Number of processes that train and judge.
         total: Training trials that the task is to hold in all; None runs until stopped.
-        demonstrations: How many the task must have before training.
+        demonstrations: Number that the task must have before training.
         evaluations: Fixed contexts to judge after each epoch; 0 judges nothing.
         seed: Seed of demonstrations and workers.
-        timeout_s: Deadline of a call; within the patience it is made again [s].
+        timeout_s: Deadline of a call; it is repeated within the patience [s].
         patience_s: How long the server may be away [s].
-        stall_s: How long a worker that owes something may make no progress, beside the time of its calls [s].
+        stall_s: How long a worker with work may make no progress, its calls aside [s].
         wait: Reports return when the model includes the trial.
         log_level: For the processes.
     """
@@ -52,18 +52,18 @@ class LaunchPlan:
 
 @final
 @dataclass(slots=True)
-class LaunchReport:
-    """What a launcher did.
+class RunReport:
+    """What a supervisor did.
 
     Attributes:
-        task: Where.
-        workers: How many were started.
+        task: Name of the task.
+        workers: Number of processes started.
         trials: Training trials that its workers stored.
-        successes: Of these.
-        demonstrations: How many it added.
+        successes: Number of these that succeeded.
+        demonstrations: Number that it added.
         epochs: Success rate by criterion of each epoch that it judged.
         trained: Training trials that the task holds at the end, as far as known.
-        workers_lost: How many ended before their time.
+        workers_lost: Number that ended too early.
         problem: Why it could not finish, or None.
         stopped_by: The signal that ended it, or None.
         seconds: From the first process's start to the end [s].

@@ -1,31 +1,35 @@
-"""Ctrl-C, SIGTERM and a closed terminal as a wish that a loop looks at, so that nothing is cut off in the middle."""
+"""Ctrl-C, SIGTERM and a closed terminal as a flag that a loop looks at, so that nothing is cut off half-way."""
 
 from __future__ import annotations
 
 import signal
-from collections.abc import Iterator
-from contextlib import contextmanager
-from multiprocessing import resource_tracker
 from types import FrameType
 from typing import Any, Final, final
 
-__all__ = ["StopRequest", "ctrl_c_blocked"]
+__all__ = ["StopRequest"]
 
 SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # the last when a terminal is closed
 
 
 @final
 class StopRequest:
-    """While entered, remembers the first of SIGINT, SIGTERM and SIGHUP instead of acting on it; main thread only.
+    """Becomes true at the first SIGINT, SIGTERM or SIGHUP while entered; main thread only.
 
-    `nohup` keeps its meaning: where SIGHUP is ignored, it stays so.
+    `nohup` keeps its meaning: where SIGHUP is ignored, it stays ignored. The flag is a plain attribute, because the
+    handler runs on the main thread, which may hold an event's lock at that moment.
+
+    Args:
+        second_ends: A second SIGINT or SIGTERM ends the process at once, whatever it is doing. It has the system's own
+            action rather than `KeyboardInterrupt`, which waits for a call into a library to return. A second SIGHUP is
+            always ignored: shell and kernel both send one when a terminal is closed.
 
     Attributes:
-        signal: Which one came, or None.
+        signal: The first signal, or None.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, second_ends: bool = False) -> None:
         self.signal: signal.Signals | None = None
+        self._second_ends = second_ends
         self._before: dict[signal.Signals, Any] = {}
 
     def __enter__(self) -> StopRequest:
@@ -48,18 +52,7 @@ class StopRequest:
 
     def _remember(self, number: int, frame: FrameType | None) -> None:
         del frame  # Unused.
+        if self._second_ends:
+            for each in self._before:
+                signal.signal(each, signal.SIG_IGN if each is signal.SIGHUP else signal.SIG_DFL)
         self.signal = self.signal or signal.Signals(number)
-
-
-@contextmanager
-def ctrl_c_blocked() -> Iterator[None]:
-    """A process started meanwhile inherits the mask and never sees SIGINT or SIGHUP; ours are delivered afterwards.
-
-    A terminal sends both to all processes of a command, which ends its own in order.
-    """
-    resource_tracker.ensure_running()  # starting it would lift the mask
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)

@@ -1,4 +1,4 @@
-"""From a plan to a finished run: skill, server, task, demonstrations, processes."""
+"""One run of `crkr workers`, from its plan to its report: skill, server, task, demonstrations, processes."""
 
 from __future__ import annotations
 
@@ -9,24 +9,22 @@ from collections.abc import Callable
 
 from crkr.client import Client, Task
 from crkr.protocol import NoSamples, Unavailable
-from crkr.sim_worker.evaluation.judge import JudgeSeat
+from crkr.sim_worker.evaluation.epoch_schedule import JudgeRole
 from crkr.sim_worker.guarded_skill import GuardedSkill
 from crkr.sim_worker.randomness import demonstration_rng, worker_seed
-from crkr.sim_worker.skill import Skill
 from crkr.sim_worker.skill_registry import load_skill
-from crkr.sim_worker.supervisor.demonstrations import record_demonstrations
-from crkr.sim_worker.supervisor.launch_plan import LaunchPlan, LaunchReport
-from crkr.sim_worker.supervisor.supervisor import Launcher, training_trials
-from crkr.sim_worker.supervisor.task_creation import create_or_join
+from crkr.sim_worker.supervisor.plan import RunPlan, RunReport
+from crkr.sim_worker.supervisor.supervisor import Supervisor, training_trials
+from crkr.sim_worker.supervisor.task_setup import create_or_join, record_demonstrations
 from crkr.sim_worker.worker.process import ProcessSettings
 from crkr.sim_worker.worker.trial_loop import Identity
 
-__all__ = ["launch"]
+__all__ = ["run_workers"]
 
 QUICK_S = 1.0
 
 
-def launch(plan: LaunchPlan, say: Callable[[str], None], show: Callable[[int, str], None]) -> LaunchReport:
+def run_workers(plan: RunPlan, say: Callable[[str], None], show: Callable[[int, str], None]) -> RunReport:
     """Runs a plan.
 
     Args:
@@ -35,29 +33,30 @@ def launch(plan: LaunchPlan, say: Callable[[str], None], show: Callable[[int, st
         show: Shows the training trials stored and a remark, often.
 
     Raises:
-        CrkrError: The skill is unknown, the server is away for longer than the patience, or the task is another one.
+        CrkrError: There is no such skill, the server is away for longer than the patience, or the task differs.
     """
     skill = GuardedSkill(load_skill(plan.skill, plan.options))
     with Client(plan.endpoint, timeout_s=plan.timeout_s, zenoh_config=plan.zenoh_config) as client:
         _wait_for_server(client, plan.patience_s, say)
         task = create_or_join(client, skill.spec(), say, its_settings=plan.options.preset is None)
+        for line in skill.lacks:
+            say(f"skill {plan.skill} has {line}")
         added = _demonstrate(plan, task, skill, say)
         status = task.status()
         trained, identity = training_trials(status), Identity(_name(), plan.seed, int(status["seq"]))
         asked = "" if plan.total is None else f", {plan.total} asked for"
         say(f"task {task.name} holds {trained} training trials{asked}")
-        seat = JudgeSeat(client, task, say) if plan.evaluations else None
-        launcher = Launcher(
+        supervisor = Supervisor(
             plan,
             task,
             _settings(plan, task, identity),
             [worker_seed(plan.seed, index) for index in range(plan.workers)],
             trained,
-            seat,
+            JudgeRole(client, task, say) if plan.evaluations else None,
             say,
             show,
         )
-        report = launcher.run()
+        report = supervisor.run()
     report.demonstrations = added
     return report
 
@@ -70,9 +69,12 @@ def _wait_for_server(client: Client, patience_s: float, say: Callable[[str], Non
         client.wait_until_ready(patience_s)
 
 
-def _demonstrate(plan: LaunchPlan, task: Task, skill: Skill, say: Callable[[str], None]) -> int:
+def _demonstrate(plan: RunPlan, task: Task, skill: GuardedSkill, say: Callable[[str], None]) -> int:
+    """Records the demonstrations that the task lacks; a skill without any leaves the start to the server."""
+    if not skill.can_demonstrate:
+        return 0
     worker = f"{_name()}-demo"
-    with task.announce(worker):  # a worker like others, which leaves when it has shown what it can
+    with task.announce(worker):  # listed among the workers while it demonstrates
         added = record_demonstrations(task, skill, plan.demonstrations, demonstration_rng(plan.seed), worker)
     if added:
         say(f"recorded {added} demonstrations")
@@ -81,7 +83,7 @@ def _demonstrate(plan: LaunchPlan, task: Task, skill: Skill, say: Callable[[str]
     return added
 
 
-def _settings(plan: LaunchPlan, task: Task, identity: Identity) -> ProcessSettings:
+def _settings(plan: RunPlan, task: Task, identity: Identity) -> ProcessSettings:
     return ProcessSettings(
         skill=plan.skill,
         options=plan.options,
@@ -98,6 +100,6 @@ def _settings(plan: LaunchPlan, task: Task, identity: Identity) -> ProcessSettin
 
 
 def _name() -> str:
-    """This launcher's name in worker ids: unique among machines, containers and launchers."""
+    """This supervisor's name in worker ids: unique among machines, containers and supervisors."""
     host = re.sub(r"[^a-z0-9]+", "-", socket.gethostname().lower()).strip("-")[:32] or "host"
     return f"{host}-{os.getpid()}"

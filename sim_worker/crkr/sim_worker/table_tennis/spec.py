@@ -7,8 +7,9 @@ from typing import Any, Final
 from crkr.protocol import Invalid, TaskSpec
 from crkr.sim_worker.table_tennis.arm.dynamics import SPEED_LIMITS
 from crkr.sim_worker.table_tennis.ball.launchers import Launcher
+from crkr.sim_worker.table_tennis.planner import HOME
 
-__all__ = ["NAME", "PRESETS", "SPARE_TIME", "task_spec"]
+__all__ = ["NAME", "PRESETS", "task_spec"]
 
 NAME: Final = "table-tennis"
 PRESETS: Final = ("tuned", "paper")
@@ -34,8 +35,11 @@ LENGTHSCALES: Final = {"tuned": 3.0, "paper": 10.0}  # in the same unit; without
 
 HIT_TOLERANCE: Final = 0.03  # [m]
 LANDING_TOLERANCE: Final = 0.3  # [m]
-SPARE_TIME: Final = 0.1  # [s]; more is as good, and counts as this
-SPARE_TIME_TOLERANCE: Final = 0.03  # [s]
+SPARE_TIME: Final = 0.02  # [s]; more is as good
+SPARE_TIME_TOLERANCE: Final = 0.01  # [s]
+CLEARANCE: Final = 0.03  # of the arm to the table [m]; more is as good, and 1 cm is refused
+CLEARANCE_TOLERANCE: Final = 0.01  # [m]
+REACH: Final = 1.2  # about the rest posture in which good strokes are [rad]
 
 COST: Final = "Cost: how far the ball passes the paddle's centre at the hit time; 0.28 at 2 cm, 0.88 at 5 cm."
 
@@ -47,7 +51,7 @@ LEARNING: Final[dict[str, dict[str, Any]]] = {
         "noise_floor": 0.05,
         # Successes are many and good: a larger budget costs time and brings nothing.
         "budget": 100,
-        "exploration": {"type": "outcome", "iterations": 1},
+        "exploration": {"type": "outcome"},
         "prior_mean": "demonstrations",
     },
     "paper": {
@@ -84,9 +88,16 @@ def task_spec(launcher: Launcher, preset: str, name: str | None = None, seed: in
         }
         for (axis, unit), mean, spread in zip(STATE, launcher.centre, launcher.spread, strict=True)
     ]
+    near = REACH if preset == "tuned" else 2 * max(POSITION_LIMITS)
     positions = [
-        {"name": joint, "unit": "rad", "low": -limit, "high": limit, "scale": POSITION_SCALE}
-        for joint, limit in zip(JOINTS, POSITION_LIMITS, strict=True)
+        {
+            "name": joint,
+            "unit": "rad",
+            "low": max(-limit, home - near),
+            "high": min(limit, home + near),
+            "scale": POSITION_SCALE,
+        }
+        for joint, limit, home in zip(JOINTS, POSITION_LIMITS, HOME.tolist(), strict=True)
     ]
     speeds = [
         {"name": f"{joint}_speed", "unit": "rad/s", "low": -limit, "high": limit, "scale": SPEED_SCALE}
@@ -104,7 +115,14 @@ def task_spec(launcher: Launcher, preset: str, name: str | None = None, seed: in
             "unit": "s",
             "target": SPARE_TIME,
             "tolerance": SPARE_TIME_TOLERANCE,
-            "group": "hit",
+            "aim": "at_least",
+        },
+        {
+            "name": "clearance",
+            "unit": "m",
+            "target": CLEARANCE,
+            "tolerance": CLEARANCE_TOLERANCE,
+            "aim": "at_least",
         },
     ]
     return TaskSpec.from_dict(

@@ -15,15 +15,16 @@ from crkr.sim_worker.primitives.joint_motion import spare_time
 from crkr.sim_worker.primitives.profiles import demonstrated_profile, wind_up
 from crkr.sim_worker.primitives.stroke import Infeasible, JointLimits, JointTrajectory, Primitive
 from crkr.sim_worker.skill import Demonstration, SkillOptions, TrialResult
-from crkr.sim_worker.table_tennis.arm.collision import CollisionCheck
+from crkr.sim_worker.table_tennis.arm.collision import MARGIN, CollisionCheck
 from crkr.sim_worker.table_tennis.arm.dynamics import ACCELERATION_LIMITS, SPEED_LIMITS, Arm
+from crkr.sim_worker.table_tennis.ball.constants import FACE_OFFSET
 from crkr.sim_worker.table_tennis.ball.launchers import LAUNCHERS, Launcher
 from crkr.sim_worker.table_tennis.environments.environments import ENVIRONMENTS, make_environment, make_predictor
 from crkr.sim_worker.table_tennis.environments.play import Diverged, Play
 from crkr.sim_worker.table_tennis.environments.simulation import Simulation
 from crkr.sim_worker.table_tennis.pictures.trace import Motion, motion, trace
-from crkr.sim_worker.table_tennis.planner import HOME, Planner
-from crkr.sim_worker.table_tennis.spec import SPARE_TIME, task_spec
+from crkr.sim_worker.table_tennis.planner import HOME, Planner, Predictor
+from crkr.sim_worker.table_tennis.spec import task_spec
 from crkr.sim_worker.table_tennis.tracker import judge
 
 __all__ = ["ENVIRONMENTS", "TableTennis"]
@@ -31,6 +32,9 @@ __all__ = ["ENVIRONMENTS", "TableTennis"]
 Floats = NDArray[np.float64]
 
 CRITERIA: Final = {"tuned": "strict", "paper": "paper"}  # the success that each preset learns from
+# What is farther off says no more [s], [m].
+SPARE_TIMES: Final = (-0.5, 0.3)
+CLEAREST: Final = 0.3
 DRAWS: Final = 20  # balls tried for each demonstration wanted, at most
 
 _log = logging.getLogger(__name__)
@@ -80,6 +84,7 @@ class TableTennis:
         self._obstacles = "the table, the net or itself" if cautious else "the table or the net"
         self._primitive = Primitive(JointLimits(self._arm.lower, self._arm.upper, SPEED_LIMITS, ACCELERATION_LIMITS))
         self._planner: Planner | None = None
+        self._predictor: Predictor | None = None
         self._traces = traces
         self._ball: Floats | None = None
         self.diverged = 0  # trials whose simulation failed
@@ -103,6 +108,10 @@ class TableTennis:
     def execute(self, goal: Floats) -> TrialResult:
         """Swings at the ball of the last `reset`.
 
+        The outcome (7,) is the ball minus the point of the paddle's face at the hit time (3,), the landing point minus
+        the aim (2,) [m], the time to spare [s] and the arm's least distance to the table [m]; NaN: not observed. For a
+        refused goal the paddle is taken where it was planned to be.
+
         A refused goal gives the reason "invalid" (shape, NaN or bounds), "infeasible" (no swing within the joint
         limits) or "collision" (within 1 cm of table or net); a failed simulation gives "diverged".
 
@@ -116,16 +125,17 @@ class TableTennis:
     def attempt(self, ball: Floats, goal: Floats) -> TrialResult:
         """As `execute`, for any ball (6,)."""
         try:
-            swing, play = self._play(ball, goal)
+            swing, clearance = self._swing(goal)
+            play = self._executed(ball, swing, float(goal[12]))
         except _RefusedGoal as refusal:
-            return refusal.result
+            return self._measured(refusal, ball, goal)
         verdict = judge(play)
         outcomes = {"paper": verdict.paper, "strict": verdict.strict}
         return TrialResult(
             cost=verdict.cost,
             success=outcomes[self._criterion],
             executed=True,
-            outcome=np.append(verdict.outcome, self._spare_time(np.asarray(goal, dtype=np.float64))),
+            outcome=np.array([*verdict.outcome, self._spare_time(goal), min(clearance, CLEAREST)]),
             info={"reason": verdict.reason, "outcomes": outcomes},
             trace=trace(self._simulation, motion(swing, play, verdict)) if self._traces else None,
         )
@@ -172,7 +182,8 @@ class TableTennis:
                 return
 
     def _spare_time(self, goal: Floats) -> float:
-        return min(spare_time(self._primitive.limits, goal[:6] - HOME, goal[6:12], float(goal[12])), SPARE_TIME)
+        spare = spare_time(self._primitive.limits, goal[:6] - HOME, goal[6:12], float(goal[12]))
+        return float(np.clip(spare, *SPARE_TIMES))
 
     def _recorded_profile(self) -> Floats:
         """The profile (N, 6) of a demonstration with a wind-up at the launcher's central ball, as measured there."""
@@ -189,22 +200,50 @@ class TableTennis:
         """Table, net, floor, pedestal, arm, paddle and ball."""
         return self._simulation.geoms()
 
+    def _measured(self, refusal: _RefusedGoal, ball: Floats, goal: Floats) -> TrialResult:
+        """The result of a refused goal, with what can be told of it: the planned miss, spare time and clearance."""
+        if refusal.reason == "invalid":
+            return refusal.result
+        if self._predictor is None:
+            self._predictor = make_predictor(self._name, magnus=self._magnus)
+        goal = np.asarray(goal, dtype=np.float64)
+        path = self._predictor.path(ball, float(goal[12]) + 2 * self._predictor.timestep)
+        row = min(round(float(goal[12]) / self._predictor.timestep), len(path) - 1)
+        paddle = self._arm.paddle(goal[:6], goal[6:12])
+        miss = path[row, :3] - (paddle.position + FACE_OFFSET * paddle.normal)
+        outcome = np.array([*miss, np.nan, np.nan, self._spare_time(goal), min(refusal.clearance, CLEAREST)])
+        return replace(refusal.result, outcome=outcome)
+
     def _play(self, ball: Floats, goal: Floats) -> tuple[JointTrajectory, Play]:
+        swing, _ = self._swing(goal)
+        return swing, self._executed(ball, swing, float(goal[12]))
+
+    def _swing(self, goal: Floats) -> tuple[JointTrajectory, float]:
+        """The swing, and its least distance to the table [m]."""
         try:
             goal = np.asarray(goal, dtype=np.float64)
         except (TypeError, ValueError):
             raise _RefusedGoal("invalid", "the goal is not numeric") from None
         if goal.shape != self._low.shape or not ((goal >= self._low) & (goal <= self._high)).all():
             raise _RefusedGoal("invalid", "the goal has another shape, is not finite or is out of bounds")
-        hit_time = float(goal[12])
         try:
-            swing = self._primitive.trajectory(HOME, goal[:6], goal[6:12], hit_time)
+            swing = self._primitive.trajectory(HOME, goal[:6], goal[6:12], float(goal[12]))
         except Infeasible as error:
             raise _RefusedGoal("infeasible", error.message) from error
-        if (row := self._collision.first(_between(swing))) is not None:
-            raise _RefusedGoal("collision", f"the arm would touch {self._obstacles} at sample {row} of the swing")
+        rows = _between(swing)
+        clearance, row = self._collision.clearance(rows)
+        if clearance >= MARGIN:
+            touched = self._collision.first(rows)
+            if touched is None:
+                return swing, clearance
+            row = touched
+        raise _RefusedGoal(
+            "collision", f"the arm would touch {self._obstacles} at sample {row} of the swing", clearance
+        )
+
+    def _executed(self, ball: Floats, swing: JointTrajectory, hit_time: float) -> Play:
         try:
-            return swing, self._environment.play(ball, swing, hit_time)
+            return self._environment.play(ball, swing, hit_time)
         except Diverged as error:
             self.diverged += 1
             _log.warning("trial dropped (%d so far): %s", self.diverged, error)
@@ -215,8 +254,9 @@ class TableTennis:
 class _RefusedGoal(Exception):
     """A goal that was not executed or could not be measured."""
 
-    def __init__(self, reason: str, detail: str) -> None:
+    def __init__(self, reason: str, detail: str, clearance: float = np.nan) -> None:
         super().__init__(detail)
+        self.reason, self.clearance = reason, clearance
         outcomes = {"paper": False, "strict": False}
         info: dict[str, Any] = {"reason": reason, "detail": detail, "outcomes": outcomes}
         self.result = TrialResult(cost=None, success=False, executed=False, info=info)

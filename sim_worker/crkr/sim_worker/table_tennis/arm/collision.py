@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from crkr.sim_worker.table_tennis.arm.dynamics import Arm
 
-__all__ = ["CollisionCheck"]
+__all__ = ["MARGIN", "CollisionCheck"]
 
 Floats = NDArray[np.float64]
 
-MARGIN = 0.01  # [m]
+MARGIN: Final = 0.01  # [m]
 OBSTACLES = ("table",)  # the net is out of the reach of the stretched arm, by more than 10 cm
 # Upper arm and shoulder never come near the table before the forearm does.
 MOVING = ("elbow", "forearm", "wrist_1", "wrist_2", "wrist_3", "handle", "paddle")
@@ -50,16 +50,36 @@ class CollisionCheck:
         index = self._shapes.getGeometryId
         for moving, obstacle in pairs:
             self._shapes.addCollisionPair(pinocchio.CollisionPair(index(moving), index(obstacle)))
-        self._all = self._requests()
-        self._outside = self._requests()  # the table alone
+        self._table = self._shapes.createData()
+        self._touching = self._requests()  # the arm with itself
+        for pair in range(len(OBSTACLES) * len(MOVING)):
+            self._touching.deactivateCollisionPair(pair)
         for pair in range(len(OBSTACLES) * len(MOVING), len(pairs)):
-            self._outside.deactivateCollisionPair(pair)
+            self._table.deactivateCollisionPair(pair)
+        self._itself = itself
+
+    def clearance(self, positions: Floats) -> tuple[float, int]:
+        """Least distance of the arm to the table [m] over rows of `positions` (n, 6) [rad], and the row of it.
+
+        Below `MARGIN` counts as a collision.
+        """
+        least, where = np.inf, 0
+        for row, joints in enumerate(positions):
+            pinocchio.updateGeometryPlacements(self._model, self._data, self._shapes, self._table, joints)
+            nearest = pinocchio.computeDistances(self._shapes, self._table)
+            distance = float(self._table.distanceResults[nearest].min_distance)
+            if distance < least:
+                least, where = distance, row
+        return least, where
 
     def first(self, positions: Floats) -> int | None:
-        """Index of the first row of `positions` (n, 6) [rad] that collides, None if none does."""
+        """Index of the first row of `positions` (n, 6) [rad] at which the arm meets itself, if that is checked."""
+        if not self._itself:
+            return None
         for row, joints in enumerate(positions):
-            wanted = self._outside if row % 2 else self._all
-            if pinocchio.computeCollisions(self._model, self._data, self._shapes, wanted, joints, True):
+            if row % 2 == 0 and pinocchio.computeCollisions(
+                self._model, self._data, self._shapes, self._touching, joints, True
+            ):
                 return row
         return None
 

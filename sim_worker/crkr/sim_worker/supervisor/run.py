@@ -78,7 +78,7 @@ def _demonstrate(plan: RunPlan, task: Task, skill: GuardedSkill, say: Callable[[
         added = record_demonstrations(task, skill, plan.demonstrations, demonstration_rng(plan.seed), worker)
     if added:
         say(f"recorded {added} demonstrations")
-    if not task.status()["active"]:
+    if task.spec.start.type == "demonstrations" and not task.status()["active"]:
         raise NoSamples(f"task {task.name!r} has nothing to start from; let --demonstrations be more than 0")
     return added
 

@@ -152,7 +152,7 @@ def test_a_log_of_the_version_before_is_exported_and_imported_with_all_its_info(
             assert "7 trials stored" in said
             assert "4 rows have info that an earlier version took" in said
             again = [stored.trial.info for stored in client.task(kind).iter_samples()]
-            assert [unpack(info["$msgpack"]) for info in again[:4]] == OLD[:4]
+            assert [unpack(info["$msgpack"], depth=None) for info in again[:4]] == OLD[:4]
             assert same(infos[4:], again[4:])
             assert "0 trials stored, 7 known" in run(endpoint, "import", "toss", str(tmp_path / f"a.{kind}"))
 

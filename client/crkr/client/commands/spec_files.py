@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from crkr.client.cli.error_lines import reason_missing
+from crkr.client.cli.output_file import check_input
 from crkr.protocol import Invalid, StorageError, TaskSpec, Unsupported
 
 __all__ = ["STANDARD_OUTPUT", "read_spec", "skill_spec", "write_spec"]
@@ -34,8 +35,7 @@ def read_spec(path: Path) -> TaskSpec:
         StorageError: It cannot be read.
     """
     is_json = path.suffix == ".json"
-    if path.exists() and not path.is_file():
-        raise Invalid(f"{path} is no regular file; write the specification to one")
+    check_input(path)
     try:
         with path.open("rb") as file:
             data = file.read(_LARGEST + 1)

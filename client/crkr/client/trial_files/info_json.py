@@ -81,5 +81,5 @@ def _restored(value: Any) -> Any:
     if not isinstance(value, dict):
         return value
     if value.keys() == {_ODD} and isinstance(value[_ODD], str):
-        return unpack(base64.b64decode(value[_ODD], validate=True)).get(_ODD)
+        return unpack(base64.b64decode(value[_ODD], validate=True), depth=None).get(_ODD)
     return {key: _restored(entry) for key, entry in value.items()}

@@ -16,9 +16,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Concatenate, Final, ParamSpec, TypeVar, final
 
+from crkr.client.call_threads import Daemons
 from crkr.client.client import Client, TaskSummary
-from crkr.client.network.daemon_threads import Daemons
-from crkr.client.network.forks import check_not_forked
+from crkr.client.lifetimes import check_not_forked
 from crkr.client.network.rpc import positive
 from crkr.client.network.subscription import TOPICS, Subscription
 from crkr.client.task import Task

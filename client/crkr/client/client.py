@@ -10,7 +10,7 @@ from typing import Any, Final, NotRequired, TypedDict, final
 from crkr.client.network.config import Connection
 from crkr.client.network.role import Role
 from crkr.client.network.rpc import Rpc, plain, reading
-from crkr.client.network.transport import Transport
+from crkr.client.network.zenoh_transport import Transport
 from crkr.client.task import Task
 from crkr.protocol import TaskSpec, check_name, rpc_key
 from crkr.protocol.checks import flag, integer, required, text

@@ -18,11 +18,11 @@ from uuid import UUID
 
 import numpy as np
 
-from crkr.client.goals import check_bounds
-from crkr.client.network.forks import check_not_forked, is_forked
+from crkr.client.answer_checks import check_bounds
+from crkr.client.lifetimes import check_not_forked, is_forked
 from crkr.client.network.rpc import Rpc, positive, reading
 from crkr.client.network.subscription import Subscription
-from crkr.client.network.transport import Transport
+from crkr.client.network.zenoh_transport import Transport
 from crkr.learner import Model
 from crkr.protocol import Conflict, CrkrError, Internal, Invalid, Prediction, Unavailable, check_states, random_ids
 

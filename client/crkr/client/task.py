@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 from uuid import UUID
 
-from crkr.client.goals import Belief, check_receipt
+from crkr.client.answer_checks import Belief, check_receipt
 from crkr.client.network.presence import Presence
 from crkr.client.network.rpc import Rpc, plain, reading
 from crkr.client.network.subscription import TOPICS, Subscription

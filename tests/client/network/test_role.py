@@ -12,7 +12,7 @@ import pytest
 
 from crkr.client import Client, Role
 from crkr.client.network.config import Connection
-from crkr.client.network.transport import Transport
+from crkr.client.network.zenoh_transport import Transport
 from crkr.protocol import Invalid, Unavailable
 from crkr.protocol.keys import live_role_key
 

@@ -16,11 +16,11 @@ from typing import Final, final
 
 import zenoh
 
+from crkr.client.lifetimes import hold, is_forked, release
 from crkr.client.network.config import brief
-from crkr.client.network.forks import hold, is_forked, release
 from crkr.client.network.liveliness_tokens import take, withdraw
 from crkr.client.network.session import NotConnected
-from crkr.client.network.transport import Transport
+from crkr.client.network.zenoh_transport import Transport
 from crkr.protocol import Conflict, CrkrError, Internal, Invalid, Unavailable, live_worker_key
 from crkr.protocol.keys import claim_worker_key, left_worker_key
 

@@ -11,11 +11,11 @@ from uuid import uuid4
 
 import zenoh
 
+from crkr.client.lifetimes import hold, is_forked, release
 from crkr.client.network.config import brief
-from crkr.client.network.forks import hold, is_forked, release
 from crkr.client.network.liveliness_tokens import standing, take, withdraw
 from crkr.client.network.session import NotConnected
-from crkr.client.network.transport import Transport
+from crkr.client.network.zenoh_transport import Transport
 from crkr.protocol import Internal, Unavailable, check_name
 from crkr.protocol.keys import claim_role_key, live_role_key
 

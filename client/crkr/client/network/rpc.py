@@ -11,7 +11,7 @@ from uuid import UUID
 
 import numpy as np
 
-from crkr.client.network.transport import Transport
+from crkr.client.network.zenoh_transport import Transport
 from crkr.protocol import (
     ADMIN_VERBS,
     CrkrError,

@@ -11,9 +11,9 @@ from weakref import WeakSet
 
 import zenoh
 
+from crkr.client.lifetimes import check_not_forked, hold, is_forked, release
 from crkr.client.network.config import Connection, brief
 from crkr.client.network.diagnosis import Obstacle, obstacle
-from crkr.client.network.forks import check_not_forked, hold, is_forked, release
 from crkr.protocol import CrkrError, Unavailable
 
 __all__ = ["Guest", "Inside", "NotConnected", "Session"]

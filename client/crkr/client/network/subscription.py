@@ -13,7 +13,7 @@ from typing import Any, Final, final
 
 import zenoh
 
-from crkr.client.network.forks import hold, is_forked, release
+from crkr.client.lifetimes import hold, is_forked, release
 from crkr.client.network.rpc import plain
 from crkr.protocol import (
     MAX_MESSAGE_BYTES,

@@ -20,7 +20,7 @@ from typing import Any, Final, final
 
 import zenoh
 
-from crkr.client.network.daemon_threads import Daemons
+from crkr.client.call_threads import Daemons
 
 __all__ = ["certificate_end", "connection_to", "refusal"]
 

@@ -13,7 +13,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final, final
 
-from crkr.client.network.forks import leave_in_child, stay
+from crkr.client.lifetimes import leave_in_child, stay
 from crkr.protocol import StorageError
 
 __all__ = ["FileLock", "file_at", "in_use", "no_locks"]

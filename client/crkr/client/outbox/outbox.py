@@ -14,8 +14,8 @@ from types import TracebackType
 from typing import Any, Final, final
 from uuid import UUID
 
-from crkr.client.goals import check_receipt
-from crkr.client.network.forks import check_not_forked, is_forked
+from crkr.client.answer_checks import check_receipt
+from crkr.client.lifetimes import check_not_forked, is_forked
 from crkr.client.network.rpc import Rpc, positive, reading
 from crkr.client.outbox.outbox_file import OutboxFile, Refused
 from crkr.protocol import (

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple, TypeGuard, final
 from uuid import UUID
 
-from crkr.client.network.forks import check_not_forked, hold, is_forked, release
+from crkr.client.lifetimes import check_not_forked, hold, is_forked, release
 from crkr.client.outbox.file_lock import FileLock, file_at, in_use, no_locks
 from crkr.protocol import Conflict, CrkrError, Invalid, StorageError, TaskSpec, Trial, Unavailable, pack, unpack
 from crkr.protocol.codec import salvage

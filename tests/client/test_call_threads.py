@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from crkr.client.network.daemon_threads import Daemons
+from crkr.client.call_threads import Daemons
 
 PATIENCE_S = 20.0
 

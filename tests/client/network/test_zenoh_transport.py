@@ -168,7 +168,7 @@ class _Seen(logging.Handler):
 
 def test_a_client_may_be_there_before_its_server(make_peer: MakePeer, free_port: int) -> None:
     retrying = _Seen()
-    logger = logging.getLogger("crkr.client.network.transport")
+    logger = logging.getLogger("crkr.client.network.zenoh_transport")
     logger.addHandler(retrying)
     logger.setLevel(logging.INFO)
     try:

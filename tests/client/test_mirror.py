@@ -4,6 +4,7 @@ import ctypes
 import itertools
 import signal
 import threading
+import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -15,6 +16,8 @@ from putting import IDS, PROBES, assert_alike, practise, specification
 
 from crkr.client import Client, Task
 from crkr.client.mirror import Mirror
+from crkr.client.network.config import Connection
+from crkr.client.network.zenoh_transport import ZenohTransport
 from crkr.protocol import (
     Invalid,
     NoSamples,
@@ -225,11 +228,12 @@ def test_client_mirror_and_outbox_may_be_closed_in_any_order(
 def test_a_notice_that_nobody_can_read_does_not_end_its_refreshing(client: Client) -> None:
     task = client.create_task(specification())
     practise(task, 10, 1)
-    with task.mirror(every_s=0.1, pause_s=0.01) as mirror:
-        stranger = client._rpc.transport
+    transport = ZenohTransport(Connection.choose(client.endpoint, None))
+    with transport, task.mirror(every_s=0.1, pause_s=0.01) as mirror:
+        transport.connect(time.monotonic() + PATIENCE_S)
         for depth in (65, 1000):
             notice = b"\x81\xa1a" + b"\x91" * depth + b"\xc0"
-            stranger.publish(f"crkr/@v1/task/{task.name}/pub/model", "model", notice)
+            transport.publish(f"crkr/@v1/task/{task.name}/pub/model", "model", notice)
         for round_ in (2, 3):
             mirror.wait_for(practise(task, 10, round_), PATIENCE_S)
         assert mirror.defects == 0

@@ -19,8 +19,8 @@ from typing import Any, Concatenate, Final, ParamSpec, TypeVar, final
 from crkr.client.call_threads import Daemons
 from crkr.client.client import Client, TaskSummary
 from crkr.client.lifetimes import check_not_forked
-from crkr.client.network.rpc import positive
 from crkr.client.network.subscription import TOPICS, Subscription
+from crkr.client.rpc import positive
 from crkr.client.task import Task
 from crkr.protocol import Invalid, StoredTrial, TaskSpec, Unavailable
 

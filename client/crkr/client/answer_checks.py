@@ -4,16 +4,62 @@ from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Callable, Sequence
-from typing import TypeAlias, final
+from collections.abc import Callable, Mapping, Sequence
+from types import TracebackType
+from typing import Any, TypeAlias, final
+from uuid import UUID
 
 import numpy as np
 
-from crkr.protocol import Array, CrkrError, Internal, Invalid, Prediction, Receipt, TaskSpec
+from crkr.protocol import (
+    Array,
+    CrkrError,
+    Internal,
+    Invalid,
+    Prediction,
+    Receipt,
+    TaskSpec,
+    array_from_wire,
+)
+from crkr.protocol.codec import MAX_DEPTH
 
-__all__ = ["Belief", "Goals", "check_bounds", "check_receipt"]
+__all__ = ["Belief", "Goals", "check_bounds", "check_receipt", "plain", "reading"]
 
 _Look: TypeAlias = Callable[[float | None], tuple[TaskSpec, bool]]  # asks the server for a task's specification
+
+
+@final
+class reading:  # noqa: N801 - it reads as a phrase, `with reading(verb):`
+    """Turns a complaint about an answer into `Internal`: it is the server that is wrong, not the caller."""
+
+    __slots__ = ("_verb",)
+
+    def __init__(self, verb: str) -> None:
+        self._verb = verb
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None) -> None:
+        if isinstance(error, Invalid | TypeError | ValueError | KeyError | AttributeError):
+            raise Internal(f"the server's answer to {self._verb} cannot be read: {error}") from error
+
+
+def plain(value: Any, depth: int = MAX_DEPTH) -> Any:
+    """A decoded message with its array maps as arrays and its ids as UUIDs, all the way down.
+
+    Raises:
+        Invalid: An array map whose bytes and shape disagree; more than `depth` maps and lists in each other.
+    """
+    if depth < 0:
+        raise Invalid(f"a message is nested more than {MAX_DEPTH} deep")
+    if isinstance(value, Mapping):
+        if value.keys() >= {"shape", "dtype", "data"}:
+            return array_from_wire(value, "array")
+        return {key: plain(entry, depth - 1) for key, entry in value.items()}
+    if isinstance(value, list):
+        return [plain(entry, depth - 1) for entry in value]
+    return UUID(bytes=value) if isinstance(value, bytes) and len(value) == 16 else value
 
 
 @final

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Final, NotRequired, TypedDict, final
+from uuid import UUID
 
+from crkr.client.answer_checks import plain, reading
+from crkr.client.lifetimes import Closing
 from crkr.client.network.config import Connection
 from crkr.client.network.role import Role
-from crkr.client.network.rpc import Rpc, plain, reading
-from crkr.client.network.zenoh_transport import Transport
+from crkr.client.network.zenoh_transport import ZenohTransport
+from crkr.client.rpc import Rpc
 from crkr.client.task import Task
-from crkr.protocol import TaskSpec, check_name, rpc_key
+from crkr.client.transport import Transport
+from crkr.protocol import Invalid, TaskSpec, check_name, rpc_key
 from crkr.protocol.checks import flag, integer, required, text
 
 __all__ = ["Client", "TaskSummary"]
@@ -30,7 +33,7 @@ class TaskSummary(TypedDict):
 
 
 @final
-class Client:
+class Client(Closing):
     """A policy server, seen from a robot, a simulator or a notebook.
 
     It may be made before the server is there: the first call connects, and each call tries until its deadline. One
@@ -41,7 +44,12 @@ class Client:
     """
 
     def __init__(
-        self, endpoint: str | None = None, *, timeout_s: float = 5.0, zenoh_config: Path | str | None = None
+        self,
+        endpoint: str | None = None,
+        *,
+        timeout_s: float = 5.0,
+        zenoh_config: Path | str | None = None,
+        transport: Transport | None = None,
     ) -> None:
         """Notes where the server is.
 
@@ -49,13 +57,18 @@ class Client:
             endpoint: Zenoh endpoint; $CRKR_CONNECT or "tcp/127.0.0.1:7447" where absent.
             timeout_s: Deadline of calls that name none [s].
             zenoh_config: Zenoh configuration file (JSON5), for certificates and passwords.
+            transport: Another way to the server, instead of Zenoh to an endpoint; closed with the client.
 
         Raises:
-            Invalid: The endpoint, the time or the file is not valid.
+            Invalid: The endpoint, the time or the file is not valid, or there are both an endpoint and a transport.
         """
-        connection = Connection.choose(endpoint, None if zenoh_config is None else Path(zenoh_config))
-        self.endpoint: Final = connection.endpoint
-        self._rpc: Final = Rpc(Transport(connection), timeout_s)
+        if transport is None:
+            connection = Connection.choose(endpoint, None if zenoh_config is None else Path(zenoh_config))
+            transport = ZenohTransport(connection)
+        elif endpoint is not None or zenoh_config is not None:
+            raise Invalid("give an endpoint and its configuration, or a transport, not both")
+        self.endpoint: Final = transport.endpoint
+        self._rpc: Final = Rpc(transport, timeout_s)
 
     def info(self, *, timeout_s: float | None = None) -> dict[str, Any]:
         """The server: `protocol`, `version`, `server_id`, `started` [unix s], `tasks`, `task_count`, `faulty`, ...
@@ -69,6 +82,10 @@ class Client:
         reply = self._rpc.call(rpc_key("info"), {}, timeout_s)
         with reading("info"):
             return {key: plain(value) for key, value in reply.items()}
+
+    def server_id(self, *, timeout_s: float | None = None) -> UUID:
+        """Which server answers: the id of its data directory, without the rest of `info`."""
+        return self._rpc.server_id(timeout_s)
 
     def wait_until_ready(self, patience_s: float) -> dict[str, Any]:
         """Waits for the server and returns its `info`; raises `Unavailable` after `patience_s`."""
@@ -128,19 +145,11 @@ class Client:
             Invalid: No task, or no role, can have that name.
             Unavailable: No connection in time.
         """
-        return Role.take(self._rpc.transport, check_name(task), role, self._rpc.deadline(timeout_s))
+        return self._rpc.transport.take_role(check_name(task), role, self._rpc.deadline(timeout_s))
 
     def close(self) -> None:
         """Ends the connection; calls in progress end with `Unavailable`."""
         self._rpc.transport.close()
-
-    def __enter__(self) -> Client:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
 
 def _summaries(page: Iterable[Mapping[str, Any]]) -> list[TaskSummary]:

@@ -9,16 +9,33 @@ from __future__ import annotations
 
 import ctypes
 import os
+from abc import ABC, abstractmethod
 from contextlib import suppress
-from typing import Final
+from typing import Final, Self
 from weakref import WeakKeyDictionary
 
 from crkr.protocol import Unavailable
 
-__all__ = ["check_not_forked", "hold", "is_forked", "leave_in_child", "release", "stay"]
+__all__ = ["Closing", "check_not_forked", "hold", "is_forked", "leave_in_child", "release", "stay"]
 
 _held: Final[WeakKeyDictionary[object, object]] = WeakKeyDictionary()
 _locked: Final[set[int]] = set()  # open files
+
+
+class Closing(ABC):
+    """Something to be closed, which the end of a `with` block does."""
+
+    __slots__ = ("__weakref__",)
+
+    @abstractmethod
+    def close(self) -> None:
+        """Closes it; a second call does nothing."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
 
 
 class _Process:

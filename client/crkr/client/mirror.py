@@ -12,17 +12,16 @@ import threading
 import time
 import weakref
 from collections.abc import Sequence
-from types import TracebackType
 from typing import TYPE_CHECKING, Final, final
 from uuid import UUID
 
 import numpy as np
 
-from crkr.client.answer_checks import check_bounds
-from crkr.client.lifetimes import check_not_forked, is_forked
-from crkr.client.network.rpc import Rpc, positive, reading
+from crkr.client.answer_checks import check_bounds, reading
+from crkr.client.lifetimes import Closing, check_not_forked, is_forked
 from crkr.client.network.subscription import Subscription
-from crkr.client.network.zenoh_transport import Transport
+from crkr.client.rpc import Rpc, positive
+from crkr.client.transport import Transport
 from crkr.learner import Model
 from crkr.protocol import Conflict, CrkrError, Internal, Invalid, Prediction, Unavailable, check_states, random_ids
 
@@ -38,7 +37,7 @@ _EXIT_S: Final = 1.0  # at the end of the interpreter, for predictions in progre
 
 
 @final
-class Mirror:
+class Mirror(Closing):
     """Answers as the task does, from a copy that is refreshed in the background; safe to use from many threads.
 
     Where outcomes guide the task's goals, the copy does without: it answers with the plain mean, or explores as the
@@ -209,14 +208,6 @@ class Mirror:
             f"Mirror({self.name!r}, model_version={self.model_version}, active={self._model.active}, "
             f"age_s={self.age_s:.1f}, fault={fault}{f', defects={self._defects}' if self._defects else ''})"
         )
-
-    def __enter__(self) -> Mirror:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def _end_with_interpreter(self) -> None:
         """Keeps a daemon where it does no harm, once the interpreter ends, and the daemon with it."""

@@ -8,13 +8,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 from uuid import UUID
 
-from crkr.client.answer_checks import Belief, check_receipt
+from crkr.client.answer_checks import Belief, check_receipt, plain, reading
 from crkr.client.network.presence import Presence
-from crkr.client.network.rpc import Rpc, plain, reading
 from crkr.client.network.subscription import TOPICS, Subscription
 from crkr.client.outbox.outbox import Outbox
-from crkr.client.prediction import ask, ask_in_parts
-from crkr.client.task_lookup import look_up
+from crkr.client.rpc import Rpc
+from crkr.client.task_calls import ask, ask_in_parts, look_up
 from crkr.protocol import (
     MAX_TELEMETRY_BYTES,
     Array,
@@ -257,7 +256,7 @@ class Task:
             Invalid: An id that cannot stand in a key.
             Conflict: A living worker has that id.
         """
-        return Presence.announce(self._rpc.transport, self.name, worker_id, self._rpc.deadline(timeout_s))
+        return self._rpc.transport.announce(self.name, worker_id, self._rpc.deadline(timeout_s))
 
     def publish(self, topic: str, message: Mapping[str, Any]) -> None:
         """Publishes telemetry ("trial" or "evaluation"); it may be lost, and this never waits.
@@ -278,8 +277,7 @@ class Task:
         self, topics: Sequence[str] = TOPICS, capacity: int = 4096, *, timeout_s: float | None = None
     ) -> Subscription:
         """Receives what workers ("trial", "evaluation") and the server ("model") publish, from now on."""
-        session = self._rpc.transport.connect(self._rpc.deadline(timeout_s))
-        return Subscription(session, self.name, topics, capacity)
+        return self._rpc.transport.subscribe(self.name, topics, capacity, self._rpc.deadline(timeout_s))
 
     def mirror(
         self,

@@ -12,7 +12,7 @@ import pytest
 
 from crkr.client import Client, Role
 from crkr.client.network.config import Connection
-from crkr.client.network.zenoh_transport import Transport
+from crkr.client.network.zenoh_transport import ZenohTransport
 from crkr.protocol import Invalid, Unavailable
 from crkr.protocol.keys import live_role_key
 
@@ -77,7 +77,7 @@ def test_of_those_who_want_a_role_at_once_one_gets_it(make_peer: MakePeer) -> No
 def test_of_two_who_hold_a_role_after_all_one_is_told_to_let_go(make_peer: MakePeer) -> None:
     peer = make_peer([{}])
     keys = [live_role_key("throw", "judge", str(UUID(int=number))) for number in (1, 2)]
-    transports = [Transport(Connection.choose(peer.endpoint, None)) for _ in keys]
+    transports = [ZenohTransport(Connection.choose(peer.endpoint, None)) for _ in keys]
     sessions = [transport.connect(time.monotonic() + 5.0) for transport in transports]
     pattern = live_role_key("throw", "judge", "*")
     roles = [

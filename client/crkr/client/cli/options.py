@@ -1,13 +1,28 @@
-"""Options that are the same in every command."""
+"""Options that several commands share, and the numbers and ids that people type."""
 
 from __future__ import annotations
 
+import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
+from uuid import UUID
 
 import typer
 
-__all__ = ["Connect", "Json", "LogLevel", "Overwrite", "Timeout", "ZenohConfig"]
+from crkr.protocol import GoalDimension, Invalid, StateDimension
+
+__all__ = [
+    "Connect",
+    "Json",
+    "LogLevel",
+    "Overwrite",
+    "Timeout",
+    "ZenohConfig",
+    "check_count",
+    "parse_ids",
+    "parse_vector",
+]
 
 Connect = Annotated[
     str | None,
@@ -42,3 +57,31 @@ LogLevel = Annotated[
         "--log-level", envvar="CRKR_LOG_LEVEL", metavar="LEVEL", help="debug, info, warning or error, on stderr."
     ),
 ]
+
+
+def parse_vector(text: str, option: str) -> list[float]:
+    """Numbers separated by blanks or commas; "nan" is allowed. Raises a usage error that names the option."""
+    words = re.split(r"[\s,]+", text.strip())
+    try:
+        return [float(word) for word in words]
+    except ValueError as error:
+        raise typer.BadParameter(f'{option} takes numbers in quotes, as in {option} "0.1 0.2"; got {text!r}') from error
+
+
+def check_count(numbers: Sequence[float], option: str, axes: Sequence[StateDimension | GoalDimension]) -> None:
+    """Raises `Invalid`, with the coordinates' names, unless there is one number for each."""
+    if len(numbers) != len(axes):
+        names = ", ".join(axis.name for axis in axes)
+        expected = "1 number" if len(axes) == 1 else f"{len(axes)} numbers"
+        raise Invalid(f"{option} takes {expected}, ({names}); got {len(numbers)}")
+
+
+def parse_ids(texts: list[str]) -> list[UUID]:
+    """UUIDs as text; raises a usage error for what is none."""
+    ids = []
+    for text in texts:
+        try:
+            ids.append(UUID(text))
+        except ValueError as error:
+            raise typer.BadParameter(f"an id is a UUID, as `crkr explain` prints it; got {text!r}") from error
+    return ids

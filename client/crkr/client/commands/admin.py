@@ -11,8 +11,7 @@ import typer
 
 from crkr.client import Client
 from crkr.client.cli.console import json_data, print_json, stderr, stdout, tidy
-from crkr.client.cli.options import Connect, Json, Timeout, ZenohConfig
-from crkr.client.cli.vectors import parse_ids
+from crkr.client.cli.options import Connect, Json, Timeout, ZenohConfig, parse_ids
 from crkr.protocol import Invalid
 
 __all__ = ["archive", "configure", "recost", "refit", "remove"]

@@ -10,8 +10,7 @@ import typer
 
 from crkr.client import Client
 from crkr.client.cli.console import print_json, stdout
-from crkr.client.cli.options import Connect, Json, Timeout, ZenohConfig
-from crkr.client.cli.vectors import check_count, parse_ids, parse_vector
+from crkr.client.cli.options import Connect, Json, Timeout, ZenohConfig, check_count, parse_ids, parse_vector
 
 __all__ = ["report"]
 

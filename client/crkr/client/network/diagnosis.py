@@ -22,9 +22,21 @@ from typing import Final, final
 import zenoh
 
 from crkr.client.network.tls_handshake import connection_to, refusal
-from crkr.protocol import live_server_key
+from crkr.client.network.trust import EVERYONE, NotTheServer, Trust
+from crkr.protocol import encoding, live_server_key, pack, rpc_key, task_key
+from crkr.protocol.keys import admin_key
 
-__all__ = ["ANYBODY", "EXAMPLE", "NO_SERVER", "Obstacle", "fault_in", "obstacle", "silence_of"]
+__all__ = [
+    "ANYBODY",
+    "EXAMPLE",
+    "NO_SERVER",
+    "Obstacle",
+    "access_rights",
+    "fault_in",
+    "impostors",
+    "obstacle",
+    "silence_of",
+]
 
 EXAMPLE: Final = "tcp/127.0.0.1:7447"
 _WITH_PORT: Final = ("tcp", "udp", "tls", "quic", "quic_datagram", "ws")
@@ -32,6 +44,7 @@ _OTHERS: Final = ("serial", "unixpipe", "unixsock-stream", "vsock")
 _TALK: Final = b"GET / HTTP/1.0\r\n\r\n"  # to Zenoh the beginning of a long message, to a web server a question
 _TALK_S: Final = 0.2
 _TOKENS_S: Final = 0.5
+_ANSWER_S: Final = 2.0
 ANYBODY: Final = "connected, but nobody serves this key, or the server's access control denies it to this client"
 NO_SERVER: Final = (
     "connected, but to a Zenoh router where no crkr server shows: another router, as ROS 2's rmw_zenohd, which listens "
@@ -138,3 +151,54 @@ def _first_words(host: str, port: int, deadline: float) -> str | None:
     if said.startswith(b"SSH-"):
         return "an SSH server"
     return "something else" if said else None
+
+
+def access_rights(session: zenoh.Session, task: str) -> dict[str, bool | None]:
+    """Whether each kind of work is let through, on a connection that works; None: no answer in time.
+
+    Asks with empty messages, which the server refuses as `Invalid` and stores nothing of: any answer is a yes.
+    """
+    keys = {
+        "predict": task_key(task, "predict"),
+        "report": task_key(task, "report"),
+        "create tasks": rpc_key("create_task"),
+        "administer": admin_key(task, "recost"),
+    }
+    return {work: _is_answered(session, key) for work, key in keys.items()}
+
+
+def impostors(session: zenoh.Session, task: str) -> set[str]:
+    """Zenoh ids of other clients that answer questions to the server; waits for all answers.
+
+    Empty where another router stands in between, which makes the server one of many.
+    """
+    trust, found, known = Trust(), set(), False
+    for key in (rpc_key("info"), task_key(task, "predict"), task_key(task, "report")):
+        for reply in _ask(session, key):
+            if trust.is_server(session, reply):
+                known = True
+            elif reply.replier_id is not None:
+                found.add(str(reply.replier_id.zid))
+    return found if known else set()
+
+
+def _ask(session: zenoh.Session, key: str) -> zenoh.handlers.Handler[zenoh.Reply]:
+    return session.get(
+        key,
+        zenoh.handlers.FifoChannel(4),
+        payload=pack({}),
+        encoding=encoding(key.rpartition("/")[2]),
+        consolidation=zenoh.ConsolidationMode.NONE,
+        target=EVERYONE,
+        timeout=_ANSWER_S,
+    )
+
+
+def _is_answered(session: zenoh.Session, key: str) -> bool | None:
+    replies = _ask(session, key)
+    try:
+        reply = Trust().pick(session, replies)
+    except (zenoh.ZError, NotTheServer):
+        return False
+    late = reply.err is not None and reply.err.payload.to_bytes() == b"Timeout"  # Zenoh's own
+    return None if late else True

@@ -16,7 +16,7 @@ from crkr.client.network.config import Connection, brief
 from crkr.client.network.diagnosis import Obstacle, obstacle
 from crkr.protocol import CrkrError, Unavailable
 
-__all__ = ["Guest", "Inside", "NotConnected", "Session"]
+__all__ = ["CallsInProgress", "Closable", "NotConnected", "Session"]
 
 _logger = logging.getLogger(__name__)
 _OPEN_S: Final = 1.0
@@ -29,7 +29,7 @@ class NotConnected(Exception):
     """This attempt to open the session failed; another may not."""
 
 
-class Guest(Protocol):
+class Closable(Protocol):
     """What wants to say goodbye while the session is still open."""
 
     def close(self) -> None:
@@ -38,7 +38,7 @@ class Guest(Protocol):
 
 
 @final
-class Inside:
+class CallsInProgress:
     """Who is in Zenoh, so that nobody is when the interpreter ends.
 
     It ends its daemons wherever they are, and in the Rust of Zenoh that aborts the process.
@@ -75,7 +75,7 @@ class Session:
 
     Attributes:
         connection: Where it leads.
-        inside: To be entered for each call of Zenoh that waits.
+        calls: To be entered for each call of Zenoh that waits.
         obstacle: What was found in the way of the last attempt to connect.
     """
 
@@ -83,10 +83,10 @@ class Session:
         self.connection: Final = connection
         self._lock = threading.Lock()
         self._session: zenoh.Session | None = None
-        self._finalizer: weakref.finalize[[zenoh.Session, WeakSet[Guest], Inside], Session] | None = None
-        self.inside: Final = Inside()
+        self._finalizer: weakref.finalize[[zenoh.Session, WeakSet[Closable], CallsInProgress], Session] | None = None
+        self.calls: Final = CallsInProgress()
         self._closed = threading.Event()
-        self._guests: WeakSet[Guest] = WeakSet()
+        self._closed_before: WeakSet[Closable] = WeakSet()
         self._in_vain = False
         self.obstacle: Obstacle | None = None
         self._look_again = 0.0  # [s, monotonic]
@@ -120,9 +120,9 @@ class Session:
         """The session if it is open."""
         return None if self._closed.is_set() or is_forked() else self._session
 
-    def see_off(self, guest: Guest) -> None:
-        """Has a guest closed before the session, whichever way that ends; the guest is not kept alive for it."""
-        self._guests.add(guest)
+    def close_before(self, one: Closable) -> None:
+        """Has a one closed before the session, whichever way that ends; the one is not kept alive for it."""
+        self._closed_before.add(one)
 
     def pause(self, seconds: float) -> None:
         """Waits, but not longer than the session lives."""
@@ -149,7 +149,7 @@ class Session:
             self._in_vain = True
             raise NotConnected(f"cannot connect: {brief(error)}") from error
         self.obstacle = None
-        self._finalizer = weakref.finalize(self, _close, session, self._guests, self.inside)
+        self._finalizer = weakref.finalize(self, _close, session, self._closed_before, self.calls)
         hold(self, session)
         _logger.debug("connected to %s", self.connection.endpoint)
         return session
@@ -173,17 +173,17 @@ class Session:
         check_not_forked()
 
 
-def _close(session: zenoh.Session, guests: WeakSet[Guest], inside: Inside) -> None:
+def _close(session: zenoh.Session, earlier: WeakSet[Closable], calls: CallsInProgress) -> None:
     if is_forked():
         return
-    for guest in list(guests):
+    for one in list(earlier):
         try:
-            guest.close()
+            one.close()
         except CrkrError as error:
             _logger.warning("before closing the session: %s", error.message)
-    inside.shut = True
+    calls.shut = True
     try:
         session.close()  # type: ignore[no-untyped-call]  # zenoh's stub gives it no return type
     except zenoh.ZError as error:
         _logger.warning("closing the session: %s", brief(error))
-    inside.wait_until_left()
+    calls.wait_until_left()

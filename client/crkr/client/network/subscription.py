@@ -8,13 +8,12 @@ import time
 import weakref
 from collections import deque
 from collections.abc import Sequence
-from types import TracebackType
 from typing import Any, Final, final
 
 import zenoh
 
-from crkr.client.lifetimes import hold, is_forked, release
-from crkr.client.network.rpc import plain
+from crkr.client.answer_checks import plain
+from crkr.client.lifetimes import Closing, hold, is_forked, release
 from crkr.protocol import (
     MAX_MESSAGE_BYTES,
     MAX_TELEMETRY_BYTES,
@@ -97,7 +96,7 @@ class _Buffer:
 
 
 @final
-class Subscription:
+class Subscription(Closing):
     """Receives publications until closed; goes on by itself after the server restarts."""
 
     def __init__(self, session: zenoh.Session, task: str, topics: Sequence[str], capacity: int) -> None:
@@ -151,14 +150,6 @@ class Subscription:
         """Ends the subscription; a `receive` in progress returns."""
         self._finalizer()
         release(self)
-
-    def __enter__(self) -> Subscription:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
 
 def _undeclare(subscriber: zenoh.Subscriber[Any], thread: threading.Thread) -> None:

@@ -14,13 +14,18 @@ import logging
 import os
 import random
 import time
+from collections.abc import Sequence
 from typing import Final, final
 
 import zenoh
 
+from crkr.client.lifetimes import Closing
 from crkr.client.network.config import Connection, brief
 from crkr.client.network.diagnosis import silence_of
+from crkr.client.network.presence import Presence
+from crkr.client.network.role import Role
 from crkr.client.network.session import NotConnected, Session
+from crkr.client.network.subscription import Subscription
 from crkr.client.network.trust import EVERYONE, NotTheServer, Trust
 from crkr.protocol import (
     MAX_MESSAGE_BYTES,
@@ -37,7 +42,7 @@ from crkr.protocol import (
 )
 from crkr.protocol.messages.call_metadata import CallMetadata
 
-__all__ = ["Transport"]
+__all__ = ["ZenohTransport"]
 
 _logger = logging.getLogger(__name__)
 _FIRST_ATTEMPT_S: Final = 0.5
@@ -57,7 +62,7 @@ class _Unanswered(Exception):
 
 
 @final
-class Transport:
+class ZenohTransport(Closing):
     """Queries and publications over one session; safe to use from many threads.
 
     Attributes:
@@ -83,22 +88,10 @@ class Transport:
     def query(
         self, key: str, kind: str, payload: bytes, deadline: float, *, patient: bool = False, optional: bool = False
     ) -> bytes:
-        """Sends a query until it is answered.
+        """As `Transport.query`.
 
-        Args:
-            key: Where to.
-            kind: Name of the message for its encoding, e.g. "predict".
-            payload: The message; the same bytes in every attempt.
-            deadline: When to give up [s, monotonic clock].
-            patient: One attempt may take all the time: for calls that work long. A lost connection still ends it. The
-                server is told how long the attempt lasts, and drops what would be answered too late.
-            optional: Give up at once where nobody serves the key: the caller knows another way.
-
-        Raises:
-            Invalid: The message is too large.
-            Unavailable: No answer in time; whether the request was executed is unknown.
-            Unsupported: Nobody serves an optional key.
-            CrkrError: The server's typed error.
+        The server is told how long a patient attempt lasts, and drops what it would answer too late. A lost connection
+        ends such an attempt too.
         """
         if len(payload) > MAX_MESSAGE_BYTES:
             raise Invalid(f"{kind} message has {len(payload)} bytes; the limit is {MAX_MESSAGE_BYTES}: split it")
@@ -113,7 +106,8 @@ class Transport:
             try:
                 return self._attempt(key, kind, payload, min(limit, remaining), patient=patient, optional=optional)
             except _Unanswered as unanswered:
-                reason = unanswered.reason
+                if attempt == 0 or limit <= remaining:  # one that the deadline cut short tells less
+                    reason = unanswered.reason
                 pause = _pause(attempt) if unanswered.pause_s is None else unanswered.pause_s
                 if attempt == 0:
                     _logger.info("%s at %s: %s; trying again", key, self.endpoint, reason)
@@ -126,7 +120,7 @@ class Transport:
         try:
             session = self.session.open(time.monotonic() + timeout_s)
             told = CallMetadata(self._client, max(1, int(1000 * timeout_s))).to_bytes() if patient else None
-            with self.session.inside:
+            with self.session.calls:
                 replies = session.get(
                     key,
                     zenoh.handlers.FifoChannel(4),
@@ -203,8 +197,20 @@ class Transport:
         except zenoh.ZError as error:
             _logger.debug("dropped a publication on %s: %s", key, brief(error))
 
+    def subscribe(self, task: str, topics: Sequence[str], capacity: int, deadline: float) -> Subscription:
+        """As `Transport.subscribe`."""
+        return Subscription(self.connect(deadline), task, topics, capacity)
+
+    def announce(self, task: str, worker_id: str, deadline: float) -> Presence:
+        """As `Transport.announce`."""
+        return Presence.announce(self.connect, self.session, task, worker_id, deadline)
+
+    def take_role(self, task: str, role: str, deadline: float) -> Role | None:
+        """As `Transport.take_role`."""
+        return Role.take(self.connect, self.session, task, role, deadline)
+
     def connect(self, deadline: float) -> zenoh.Session:
-        """The open session, for tokens and subscriptions.
+        """The open session.
 
         Raises:
             Unavailable: No connection by the deadline.

@@ -10,14 +10,13 @@ import logging
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Final, final
 from uuid import UUID
 
-from crkr.client.answer_checks import check_receipt
-from crkr.client.lifetimes import check_not_forked, is_forked
-from crkr.client.network.rpc import Rpc, positive, reading
+from crkr.client.answer_checks import check_receipt, reading
+from crkr.client.lifetimes import Closing, check_not_forked, is_forked
 from crkr.client.outbox.outbox_file import OutboxFile, Refused
+from crkr.client.rpc import Rpc, positive
 from crkr.protocol import (
     Conflict,
     CrkrError,
@@ -43,7 +42,7 @@ _JOIN_S: Final = 0.5
 
 
 @final
-class Outbox:
+class Outbox(Closing):
     """Takes reports as `Task.report` does and delivers them in the background, in order; many threads may share it.
 
     Attributes:
@@ -199,14 +198,6 @@ class Outbox:
         fault = self._fault.code if self._fault is not None else None
         defects = f", defects={self._defects}" if self._defects else ""
         return f"Outbox({str(self.path)!r}, task={self._task!r}, pending={self._pending}, fault={fault}{defects})"
-
-    def __enter__(self) -> Outbox:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def _deliver(self) -> None:
         pause, over = 0.0, False

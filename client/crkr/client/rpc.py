@@ -5,31 +5,28 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from types import TracebackType
 from typing import Any, Final, final
 from uuid import UUID
 
 import numpy as np
 
-from crkr.client.network.zenoh_transport import Transport
+from crkr.client.answer_checks import plain, reading
+from crkr.client.transport import Transport
 from crkr.protocol import (
     ADMIN_VERBS,
     CrkrError,
-    Internal,
     Invalid,
-    array_from_wire,
     id_from_wire,
     pack,
     rpc_key,
     unpack,
 )
 from crkr.protocol.checks import entries, integer
-from crkr.protocol.codec import MAX_DEPTH
 
-__all__ = ["Rpc", "plain", "positive", "reading"]
+__all__ = ["Rpc", "positive"]
 
 # Verbs whose work may take longer than one ordinary attempt: asking again would only double it.
-_PATIENT: Final = frozenset({*ADMIN_VERBS, "samples", "explain", "model"})
+_PATIENT: Final = frozenset({*ADMIN_VERBS, "create_task", "explain", "model", "samples"})
 _MANY: Final = 16  # states or trials of one message, from which on it may take long too
 _PAGE: Final = 1000  # tasks
 
@@ -113,7 +110,7 @@ class Rpc:
             page, after = self.task_page(after, max(deadline - time.monotonic(), 0.001))
             yield page
 
-    def server_id(self, timeout_s: float) -> UUID:
+    def server_id(self, timeout_s: float | None) -> UUID:
         """Which server answers; another id may come with other data, under the same names and versions."""
         reply = self.call(rpc_key("info"), {"limit": 0}, timeout_s)  # without the names of its tasks
         with reading("info"):
@@ -127,40 +124,6 @@ def _may_take_long(verb: str, message: Mapping[str, Any]) -> bool:
     if isinstance(states, np.ndarray):
         return states.ndim > 1 and len(states) > _MANY
     return isinstance(trials, list) and len(trials) > _MANY
-
-
-@final
-class reading:  # noqa: N801 - it reads as a phrase, `with reading(verb):`
-    """Turns a complaint about an answer into `Internal`: it is the server that is wrong, not the caller."""
-
-    __slots__ = ("_verb",)
-
-    def __init__(self, verb: str) -> None:
-        self._verb = verb
-
-    def __enter__(self) -> None:
-        pass
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None) -> None:
-        if isinstance(error, Invalid | TypeError | ValueError | KeyError | AttributeError):
-            raise Internal(f"the server's answer to {self._verb} cannot be read: {error}") from error
-
-
-def plain(value: Any, depth: int = MAX_DEPTH) -> Any:
-    """A decoded message with its array maps as arrays and its ids as UUIDs, all the way down.
-
-    Raises:
-        Invalid: An array map whose bytes and shape disagree; more than `depth` maps and lists in each other.
-    """
-    if depth < 0:
-        raise Invalid(f"a message is nested more than {MAX_DEPTH} deep")
-    if isinstance(value, Mapping):
-        if value.keys() >= {"shape", "dtype", "data"}:
-            return array_from_wire(value, "array")
-        return {key: plain(entry, depth - 1) for key, entry in value.items()}
-    if isinstance(value, list):
-        return [plain(entry, depth - 1) for entry in value]
-    return UUID(bytes=value) if isinstance(value, bytes) and len(value) == 16 else value
 
 
 def positive(timeout_s: float) -> float:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import TYPE_CHECKING, Any, Final, Unpack, final
 from uuid import UUID
 
-from crkr.client.answer_checks import Belief, check_receipt, plain, reading
+from crkr.client.answer_checks import Belief, check_bounds, check_receipt, plain, reading
 from crkr.client.network.presence import Presence
 from crkr.client.network.subscription import TOPICS, Subscription
 from crkr.client.outbox.outbox import Outbox
@@ -26,6 +26,7 @@ from crkr.protocol import (
     StoredTrial,
     TaskSpec,
     Trial,
+    TrialFields,
     admin_key,
     check_states,
     make_trials,
@@ -129,35 +130,17 @@ class Task:
         self,
         answer: Prediction | None = None,
         *,
-        state: object = None,
-        goal: object = None,
-        cost: object,
-        success: object,
-        kind: str = "trial",
-        id: UUID | bytes | Sequence[UUID | bytes] | None = None,  # noqa: A002 - the protocol's word
-        outcome: object = None,
-        worker: str | None = None,
-        model_version: int | None = None,
-        info: Mapping[str, Any] | Sequence[Mapping[str, Any]] | None = None,
         wait: bool = False,
         timeout_s: float | None = None,
+        **trial: Unpack[TrialFields],
     ) -> Receipt:
         """Stores what one trial or a batch cost; when this returns, it is on the server's disk.
 
         Args:
             answer: The prediction that was tried; or give `state` and `goal`.
-            state: (d,) or (b, d).
-            goal: (p,) or (b, p) executed, within the bounds.
-            cost: In [0, 1], one or b; None for kind "failed".
-            success: One flag, or b.
-            kind: "trial", "demonstration", "evaluation" or "failed".
-            id: One id or b; the answer's, or random ones, where absent.
-            outcome: (q,) or (b, q) measured, NaN where not observed.
-            worker: Who reports.
-            model_version: The model that proposed the goals.
-            info: Plain data to keep with it.
             wait: Return only after the model includes it.
             timeout_s: Deadline [s].
+            trial: What was done and how it went, see `crkr.protocol.TrialFields`.
 
         Raises:
             Invalid: A value of the wrong shape or out of range; nothing was stored.
@@ -165,21 +148,7 @@ class Task:
             StorageError: The server cannot write; nothing was stored.
         """
         spec, timeout_s = self._specified(timeout_s)
-        trials = make_trials(
-            spec,
-            answer,
-            state=state,
-            goal=goal,
-            cost=cost,
-            success=success,
-            kind=kind,
-            id=id,
-            outcome=outcome,
-            worker=worker,
-            model_version=model_version,
-            info=info,
-        )
-        return self.report_trials(trials, wait=wait, timeout_s=timeout_s)
+        return self.report_trials(make_trials(spec, answer, **trial), wait=wait, timeout_s=timeout_s)
 
     def report_trials(self, trials: Sequence[Trial], *, wait: bool = False, timeout_s: float | None = None) -> Receipt:
         """Stores trials, all or none; as `report`."""
@@ -297,7 +266,15 @@ class Task:
         except ModuleNotFoundError as error:
             wanted = "a local copy of a policy needs the extra 'mirror': pip install 'crkr[mirror]'"
             raise ModuleNotFoundError(wanted, name=error.name) from error
-        return Mirror(self, self._rpc, every_s=every_s, pause_s=pause_s, max_age_s=max_age_s, timeout_s=timeout_s)
+        return Mirror(
+            self,
+            self._rpc,
+            self._check_bounds,
+            every_s=every_s,
+            pause_s=pause_s,
+            max_age_s=max_age_s,
+            timeout_s=timeout_s,
+        )
 
     def outbox(self, path: Path | str, *, timeout_s: float | None = None) -> Outbox:
         """Reports that wait in a file until the server answers; see `Outbox`.
@@ -328,6 +305,9 @@ class Task:
         """The specification in force, and whether the task is archived."""
         self._spec, archived = look_up(self._rpc, self.name, timeout_s)
         return self._spec, archived
+
+    def _check_bounds(self, low: Array, high: Array) -> None:
+        check_bounds(self._spec, self._look, low, high)
 
     def _read(self, verb: str, message: Mapping[str, Any], timeout_s: float | None) -> dict[str, Any]:
         reply = self._rpc.call(task_key(self.name, verb), message, timeout_s)

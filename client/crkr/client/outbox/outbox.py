@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, Final, final
+from typing import Any, Final, Unpack, final
 from uuid import UUID
 
 from crkr.client.answer_checks import check_receipt, reading
@@ -25,6 +25,7 @@ from crkr.protocol import (
     Prediction,
     Receipt,
     TaskSpec,
+    TrialFields,
     Unavailable,
     make_trials,
     task_key,
@@ -113,22 +114,12 @@ class Outbox(Closing):
         """Forgets trials that were put aside, for good."""
         self._file.discard([one.number for one in refused])
 
-    def report(
-        self,
-        answer: Prediction | None = None,
-        *,
-        state: object = None,
-        goal: object = None,
-        cost: object,
-        success: object,
-        kind: str = "trial",
-        id: UUID | bytes | Sequence[UUID | bytes] | None = None,  # noqa: A002 - the protocol's word
-        outcome: object = None,
-        worker: str | None = None,
-        model_version: int | None = None,
-        info: Mapping[str, Any] | Sequence[Mapping[str, Any]] | None = None,
-    ) -> tuple[UUID, ...]:
-        """Keeps what one trial or a batch cost; arguments as for `Task.report`.
+    def report(self, answer: Prediction | None = None, **trial: Unpack[TrialFields]) -> tuple[UUID, ...]:
+        """Keeps what one trial or a batch cost.
+
+        Args:
+            answer: The prediction that was tried; or give `state` and `goal`.
+            trial: What was done and how it went, see `crkr.protocol.TrialFields`.
 
         Returns:
             The ids, once the trials are in the file and on the disk. The server has them when `pending` says so.
@@ -139,20 +130,7 @@ class Outbox(Closing):
             Unavailable: The outbox was closed.
         """
         check_not_forked()
-        trials = make_trials(
-            self.spec,
-            answer,
-            state=state,
-            goal=goal,
-            cost=cost,
-            success=success,
-            kind=kind,
-            id=id,
-            outcome=outcome,
-            worker=worker,
-            model_version=model_version,
-            info=info,
-        )
+        trials = make_trials(self.spec, answer, **trial)
         with self._changed:
             if self._closing.is_set():
                 raise Unavailable(f"the outbox {self.path} is closed")
@@ -166,7 +144,7 @@ class Outbox(Closing):
                 raise
             finally:
                 self._changed.notify_all()
-        return tuple(trial.id for trial in trials)
+        return tuple(one.id for one in trials)
 
     def flush(self, timeout_s: float) -> None:
         """Waits until all is delivered or refused.

@@ -11,22 +11,28 @@ import logging
 import threading
 import time
 import weakref
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Final, final
+from collections.abc import Callable, Sequence
+from typing import Final, Unpack, final
 from uuid import UUID
 
-import numpy as np
-
-from crkr.client.answer_checks import check_bounds, reading
 from crkr.client.lifetimes import Closing, check_not_forked, is_forked
+from crkr.client.mirror.model_reader import ModelReader, ModelSource
 from crkr.client.network.subscription import Subscription
 from crkr.client.rpc import Rpc, positive
 from crkr.client.transport import Transport
 from crkr.learner import Model
-from crkr.protocol import Conflict, CrkrError, Internal, Invalid, Prediction, Unavailable, check_states, random_ids
-
-if TYPE_CHECKING:
-    from crkr.client.task import Task
+from crkr.protocol import (
+    Array,
+    CrkrError,
+    Internal,
+    Invalid,
+    Prediction,
+    Receipt,
+    TrialFields,
+    Unavailable,
+    check_states,
+    random_ids,
+)
 
 __all__ = ["Mirror"]
 
@@ -49,8 +55,9 @@ class Mirror(Closing):
 
     def __init__(
         self,
-        task: Task,
+        task: ModelSource,
         rpc: Rpc,
+        check_bounds: Callable[[Array, Array], None],
         *,
         every_s: float = 1.0,
         pause_s: float = 0.1,
@@ -62,6 +69,7 @@ class Mirror(Closing):
         Args:
             task: What is copied.
             rpc: What asks which server it is.
+            check_bounds: Raises `Invalid` where a first copy's bounds of goals are not the task's.
             every_s: Longest time between questions whether the copy is up to date [s]; a third of `max_age_s` at most.
             pause_s: Shortest time between two copies [s]; a third of `max_age_s` at most.
             max_age_s: From which age predictions are refused [s]; None: they never are.
@@ -77,6 +85,7 @@ class Mirror(Closing):
                 raise Invalid(f"{name} must be a positive number of seconds; got {value!r}", details={"field": name})
         self.name: Final = task.name
         self._task, self._rpc, self._max_age_s = task, rpc, max_age_s
+        self._reader = ModelReader(task, rpc, check_bounds)
         at_most = float("inf") if max_age_s is None else max_age_s / 3.0
         self._every_s, self._pause_s = min(every_s, at_most), min(pause_s, at_most)
         self._changed = threading.Condition()
@@ -89,7 +98,7 @@ class Mirror(Closing):
         # Before the first copy, or what changes between the two would go unnoticed for a while.
         self._notices = task.subscribe(("model",), capacity=1, timeout_s=timeout_s)
         try:
-            self._model, self._server, self._confirmed = self._fetch(None, timeout_s)
+            self._model, self._confirmed = self._reader.fetch(None, timeout_s)
         except BaseException:
             self._notices.close()
             raise
@@ -147,6 +156,17 @@ class Mirror(Closing):
         finally:
             self._inside.pop(me, None)
 
+    def report(
+        self,
+        answer: Prediction | None = None,
+        *,
+        wait: bool = False,
+        timeout_s: float | None = None,
+        **trial: Unpack[TrialFields],
+    ) -> Receipt:
+        """Reports to the server, as `Task.report`; the copy has it after the next refresh."""
+        return self._task.report(answer, wait=wait, timeout_s=timeout_s, **trial)
+
     def refresh(self, timeout_s: float | None = None) -> bool:
         """Asks now; whether there was a newer model.
 
@@ -161,9 +181,9 @@ class Mirror(Closing):
             raise Unavailable(f"another refresh of the local copy of task {self.name!r} was in progress")
         try:
             before = self._model
-            model, server, confirmed = self._fetch(before, max(deadline - time.monotonic(), 0.001))
+            model, confirmed = self._reader.fetch(before, max(deadline - time.monotonic(), 0.001))
             with self._changed:
-                self._model, self._server, self._confirmed, self._fault = model, server, confirmed, None
+                self._model, self._confirmed, self._fault = model, confirmed, None
                 self._changed.notify_all()
         except CrkrError as error:
             self._fault = error
@@ -262,34 +282,6 @@ class Mirror(Closing):
         level = logging.WARNING if self._defects == 1 else logging.DEBUG
         _logger.log(level, "the local copy of task %s was not refreshed: %r", self.name, error)
 
-    def _fetch(self, known: Model | None, timeout_s: float | None) -> tuple[Model, UUID, float]:
-        """The server's model (the known one where it still is), which server, and when it was asked [s, monotonic].
-
-        Another server may have learned something else up to the same version, so that one is asked for all. The id is
-        asked for first: where the server changes between the two questions, the next refresh sees it.
-        """
-        asked = time.monotonic()
-        deadline = self._rpc.deadline(timeout_s)
-        server = self._rpc.server_id(deadline - asked)
-        same = known is not None and server == self._server
-        reply = self._task.model(
-            known.version if known is not None and same else None, timeout_s=max(deadline - time.monotonic(), 0.001)
-        )
-        if known is not None and same and reply.get("unchanged") is True:
-            return known, server, asked
-        with reading("model"):
-            model = Model.from_wire(reply)
-        if known is not None and not _alike(known, model):
-            raise Conflict(
-                f"the server's task {self.name!r} is another now, with other states or goals, so that the local copy "
-                "stays as it was; make a new mirror"
-            )
-        with reading("model"):
-            _check(model)
-            if known is None:
-                check_bounds(self._task._spec, self._task._look, model.parameters.low, model.parameters.high)
-        return model, server, asked
-
 
 def _exit(
     exiting: threading.Event,
@@ -313,25 +305,3 @@ def _exit(
     thread.join(_EXIT_S)
     while inside and time.monotonic() < until:
         threading.Event().wait(0.001)
-
-
-def _check(model: Model) -> None:
-    """Raises `Invalid` for a model that cannot answer with goals to try, whatever it is asked."""
-    own, regression = model.parameters, model.regression
-    arrays = [own.prior, own.scales, own.low, own.high, *([] if regression is None else [regression.W])]
-    if not all(np.isfinite(array).all() for array in arrays):
-        raise Invalid("the model holds what is no finite number")
-    if not ((model.goals >= own.low) & (model.goals <= own.high)).all():
-        raise Invalid("the model holds goals outside its bounds")
-
-
-def _alike(one: Model, other: Model) -> bool:
-    """Whether states and goals are of the same dimensions and bounds, which no task changes."""
-    return all(
-        np.array_equal(mine, theirs)
-        for mine, theirs in (
-            (one.parameters.kernel.centre, other.parameters.kernel.centre),
-            (one.parameters.low, other.parameters.low),
-            (one.parameters.high, other.parameters.high),
-        )
-    )

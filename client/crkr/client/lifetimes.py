@@ -1,8 +1,8 @@
-"""What a fork would break: Zenoh's threads stay in the parent, so in the child its objects can only be left alone.
+"""How objects end: at the end of a `with` block, and in a forked child, where they must be left alone.
 
-To open a session there, to call through one, or merely to free one waits forever. To close a database of SQLite there
-takes the parent's latest entries away. So the child is refused with a clear error, and keeps what it inherited until it
-ends.
+Zenoh's threads stay in the parent. In the child, opening a session, using one or freeing one waits forever, and closing
+an SQLite database loses the parent's latest entries. So calls in the child raise `Unavailable`, and the child keeps
+what it inherited until it ends.
 """
 
 from __future__ import annotations
@@ -39,25 +39,25 @@ class Closing(ABC):
 
 
 class _Process:
-    """What this process knows of itself."""
+    """State of this process."""
 
     holds = False
     inherited = False
 
 
 def hold(owner: object, resource: object) -> None:
-    """Notes that `owner` has what cannot cross a fork, until `release` or the owner's end."""
+    """Registers that `owner` has a resource that cannot cross a fork, until `release` or the owner's end."""
     _Process.holds = True
     _held[owner] = resource
 
 
 def release(owner: object) -> None:
-    """Forgets what `owner` had."""
+    """Takes `hold` back."""
     _held.pop(owner, None)
 
 
 def leave_in_child(file: int) -> None:
-    """Has a child close an open file, so that a lock on it ends with this process and not with the child."""
+    """Has a forked child close an open file, so that a lock on it ends with this process."""
     _locked.add(file)
 
 
@@ -67,7 +67,7 @@ def stay(file: int) -> None:
 
 
 def is_forked() -> bool:
-    """Whether this process was forked from one that held such a thing."""
+    """Whether this process was forked from one that held such a resource."""
     return _Process.inherited
 
 

@@ -6,14 +6,14 @@ import time
 from collections.abc import Mapping
 from typing import Any, Final
 
-from crkr.client.answer_checks import reading
+from crkr.client.checks import answer_to
 from crkr.client.rpc import Rpc
 from crkr.protocol import Array, NovelState, Prediction, TaskSpec, UnknownTask, Unsupported, task_key
 from crkr.protocol.checks import required
 
 __all__ = ["ask", "ask_in_parts", "look_up"]
 
-_MOST_NAMED: Final = 20  # tasks that an error tells of
+_MOST_NAMED: Final = 20  # tasks named in an error
 
 
 def look_up(rpc: Rpc, name: str, timeout_s: float | None) -> tuple[TaskSpec, bool]:
@@ -29,15 +29,15 @@ def look_up(rpc: Rpc, name: str, timeout_s: float | None) -> tuple[TaskSpec, boo
         found = rpc.call(task_key(name, "spec"), {}, timeout_s, optional=True)
     except Unsupported:  # a server of version 0.1, or access control that was set up for one
         found = _listed(rpc, name, deadline)
-    with reading("spec"):
+    with answer_to("spec"):
         return TaskSpec.from_dict(required(found, "spec")), found.get("archived") is True
 
 
 def _listed(rpc: Rpc, name: str, deadline: float) -> Mapping[str, Any]:
-    """The task's entry in the list of all."""
+    """The task's entry in the list of all tasks."""
     names: list[str] = []
     for page in rpc.task_pages(deadline):
-        with reading("tasks"):
+        with answer_to("tasks"):
             entries: dict[str, Mapping[str, Any]] = {entry["spec"]["name"]: entry for entry in page}
             if name in entries:
                 return entries[name]
@@ -49,20 +49,20 @@ def _listed(rpc: Rpc, name: str, deadline: float) -> Mapping[str, Any]:
 
 
 def ask(rpc: Rpc, task: str, states: Array, message: Mapping[str, Any], timeout_s: float | None) -> Prediction:
-    """The answer to one message of `PredictRequest.to_wire`, which asks about these states."""
+    """Sends one message of `PredictRequest.to_wire` about these states and returns the answer."""
     reply = rpc.call(task_key(task, "predict"), message, timeout_s)
-    with reading("predict"):
+    with answer_to("predict"):
         return Prediction.from_wire(reply, states)
 
 
 def ask_in_parts(
     rpc: Rpc, task: str, states: Array, message: Mapping[str, Any], most: int, timeout_s: float | None
 ) -> Prediction:
-    """The same with at most `most` states in a message, all by one deadline.
+    """As `ask`, with at most `most` states a message and one deadline for all.
 
     Raises:
-        NovelState: A state is more novel than the task allows; its index counts among all states.
-        CrkrError: Whatever else one of the messages meets with.
+        NovelState: A state is more novel than the task allows; its index is that among all states.
+        CrkrError: The error of any one message.
     """
     deadline, parts = rpc.deadline(timeout_s), []
     for start in range(0, len(states), most):

@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Final, Protocol, final
 
 from crkr.client import Client, Task
-from crkr.client.cli.progress import counting
+from crkr.client.cli.console import stderr
+from crkr.client.cli.progress import ProgressBar
 from crkr.dashboard.feed import Feed
 from crkr.dashboard.progress import Progress
 from crkr.dashboard.stored_run import StoredRun, open_run, replay
@@ -114,10 +115,10 @@ class ReplaySession:
     def show(self, view: View, tick_s: float, goes_on: Callable[[], bool] = lambda: True) -> Progress:
         """Tells the view of every trial, with a progress bar."""
         del tick_s  # it is as quick as it can be
-        with counting(f"replaying {self.task}", self._run.last) as done:
+        with ProgressBar(stderr, f"replaying {self.task}", self._run.last, "log entries") as bar:
             self.begun = True
             view.task(self._run.spec.description)
-            return replay(self._run, view, lambda: goes_on() and not self.stop, done)
+            return replay(self._run, view, lambda: goes_on() and not self.stop, bar.show)
 
     def stay(self, goes_on: Callable[[], bool]) -> None:
         """Waits until stopped, or not `goes_on`: what was replayed is there to be looked at."""

@@ -60,7 +60,7 @@ LogLevel = Annotated[
 
 
 def parse_vector(text: str, option: str) -> list[float]:
-    """Numbers separated by blanks or commas; "nan" is allowed. Raises a usage error that names the option."""
+    """Parses numbers separated by blanks or commas, "nan" included; a usage error names the option."""
     words = re.split(r"[\s,]+", text.strip())
     try:
         return [float(word) for word in words]
@@ -69,7 +69,7 @@ def parse_vector(text: str, option: str) -> list[float]:
 
 
 def check_count(numbers: Sequence[float], option: str, axes: Sequence[StateDimension | GoalDimension]) -> None:
-    """Raises `Invalid`, with the coordinates' names, unless there is one number for each."""
+    """Raises `Invalid`, with the coordinates' names, unless there is one number for each coordinate."""
     if len(numbers) != len(axes):
         names = ", ".join(axis.name for axis in axes)
         expected = "1 number" if len(axes) == 1 else f"{len(axes)} numbers"
@@ -77,7 +77,7 @@ def check_count(numbers: Sequence[float], option: str, axes: Sequence[StateDimen
 
 
 def parse_ids(texts: list[str]) -> list[UUID]:
-    """UUIDs as text; raises a usage error for what is none."""
+    """Parses UUIDs; raises a usage error for other text."""
     ids = []
     for text in texts:
         try:

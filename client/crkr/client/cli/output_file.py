@@ -1,4 +1,4 @@
-"""Files that a command is told to write or read: none is replaced unasked, and a failed run leaves it as it was."""
+"""Files that a command reads or writes: none is replaced without --overwrite, and a failed run changes none."""
 
 from __future__ import annotations
 
@@ -74,5 +74,5 @@ def output_file(path: Path, *, overwrite: bool = True) -> Iterator[Path]:
 
 
 def _target(path: Path) -> Path:
-    """The file that a link leads to: the link stays."""
+    """The target of a symbolic link, so that the link stays."""
     return Path(os.path.realpath(path))

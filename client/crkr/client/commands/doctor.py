@@ -97,7 +97,7 @@ def _conversation(client: Client, transport: ZenohTransport) -> list[_Check]:
 
 
 def _trouble(error: CrkrError, connection: Connection) -> str:
-    """All that is known of a silence, which the other commands send their readers here for."""
+    """Everything known about why the server does not answer; other commands refer to this one."""
     tried = error.details
     if not isinstance(error, Unavailable) or "reason" not in tried:
         return error.message
@@ -129,7 +129,7 @@ def _certificate(connection: Connection) -> list[_Check]:
 
 
 def _impostors(transport: ZenohTransport, info: dict[str, Any]) -> list[_Check]:
-    """Other clients that answer in the server's place. Their answers are ignored, but an operator should know."""
+    """Other clients that answer in the server's place; their answers are ignored."""
     session = transport.session.peek()
     if info.get("protocol") != PROTOCOL_VERSION or session is None or not session.info.routers_zid():
         return []

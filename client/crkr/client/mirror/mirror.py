@@ -1,8 +1,7 @@
-"""A local copy of a task's policy: predictions without a network, and while there is none.
+"""A local copy of a task's policy, for predictions without the network.
 
-The server says with a notice that it has a new model; whoever missed it finds out within a second, by asking. A copy is
-fetched whole, made in the background, and put in place at once, so that a prediction never waits for one and never sees
-half of one.
+The server sends a notice when it has a new model; the mirror also asks every second, in case it missed one. A thread
+fetches the whole model and replaces the old one in one step, so predictions neither wait nor see half a model.
 """
 
 from __future__ import annotations
@@ -15,10 +14,11 @@ from collections.abc import Callable, Sequence
 from typing import Final, Unpack, final
 from uuid import UUID
 
+from crkr.client.checks import positive
 from crkr.client.lifetimes import Closing, check_not_forked, is_forked
 from crkr.client.mirror.model_reader import ModelReader, ModelSource
 from crkr.client.network.subscription import Subscription
-from crkr.client.rpc import Rpc, positive
+from crkr.client.rpc import Rpc
 from crkr.client.transport import Transport
 from crkr.learner import Model
 from crkr.protocol import (
@@ -38,16 +38,16 @@ __all__ = ["Mirror"]
 
 _logger = logging.getLogger(__name__)
 _ATTEMPT_S: Final = 2.0  # to ask in the background
-_JOIN_S: Final = 0.2  # an attempt that nobody answers ends by itself
+_JOIN_S: Final = 0.2  # an unanswered attempt ends by itself
 _EXIT_S: Final = 1.0  # at the end of the interpreter, for predictions in progress
 
 
 @final
 class Mirror(Closing):
-    """Answers as the task does, from a copy that is refreshed in the background; safe to use from many threads.
+    """Answers as the task does, from a copy that is refreshed in the background; threads may share it.
 
-    Where outcomes guide the task's goals, the copy does without: it answers with the plain mean, or explores as the
-    paper does, as `policy` says.
+    The copy does not use outcomes. Where they guide the task's goals, it answers with the plain mean, or explores as
+    the paper does; `policy` says which.
 
     Attributes:
         name: The task's name.
@@ -67,12 +67,12 @@ class Mirror(Closing):
         """Fetches the first copy; `Task.mirror` makes one.
 
         Args:
-            task: What is copied.
-            rpc: What asks which server it is.
+            task: The task to copy.
+            rpc: Asks which server answers.
             check_bounds: Raises `Invalid` where a first copy's bounds of goals are not the task's.
-            every_s: Longest time between questions whether the copy is up to date [s]; a third of `max_age_s` at most.
-            pause_s: Shortest time between two copies [s]; a third of `max_age_s` at most.
-            max_age_s: From which age predictions are refused [s]; None: they never are.
+            every_s: Longest time between two checks for a new model [s]; at most a third of `max_age_s`.
+            pause_s: Shortest time between two copies [s]; at most a third of `max_age_s`.
+            max_age_s: Age from which predictions are refused [s]; None: never.
             timeout_s: Deadline of the first copy [s].
 
         Raises:
@@ -95,7 +95,7 @@ class Mirror(Closing):
         self._fault: CrkrError | None = None
         self._defects = 0
         self._refreshing = threading.Lock()
-        # Before the first copy, or what changes between the two would go unnoticed for a while.
+        # Before the first copy, or a change between the two would be noticed late.
         self._notices = task.subscribe(("model",), capacity=1, timeout_s=timeout_s)
         try:
             self._model, self._confirmed = self._reader.fetch(None, timeout_s)
@@ -109,7 +109,7 @@ class Mirror(Closing):
 
     @property
     def model(self) -> Model:
-        """The copy at hand, immutable."""
+        """The current copy, immutable."""
         return self._model
 
     @property
@@ -119,17 +119,17 @@ class Mirror(Closing):
 
     @property
     def age_s(self) -> float:
-        """Time since the server said for the last time that the copy is its model [s]."""
+        """Time since the server last confirmed that the copy is its model [s]."""
         return time.monotonic() - self._confirmed
 
     @property
     def fault(self) -> CrkrError | None:
-        """Why the copy could not be refreshed the last time; None: it was."""
+        """Why the last refresh failed; None: it did not."""
         return self._fault
 
     @property
     def defects(self) -> int:
-        """Refreshes that failed by no error of the protocol, but by a defect or for want of memory."""
+        """Refreshes that failed by a defect or for lack of memory, not by an error of the protocol."""
         return self._defects
 
     def predict(
@@ -168,12 +168,12 @@ class Mirror(Closing):
         return self._task.report(answer, wait=wait, timeout_s=timeout_s, **trial)
 
     def refresh(self, timeout_s: float | None = None) -> bool:
-        """Asks now; whether there was a newer model.
+        """Asks now; returns whether there was a newer model.
 
         Raises:
             Unavailable: No answer by the deadline, or the mirror was closed.
-            UnknownTask: The server has no such task any more.
-            Conflict: It has another task of that name, with other states or goals.
+            UnknownTask: The server no longer has the task.
+            Conflict: The server has another task of that name, with other states or goals.
         """
         self._check_open()
         deadline = self._rpc.deadline(timeout_s)
@@ -197,7 +197,7 @@ class Mirror(Closing):
 
         Raises:
             Invalid: A time that is not positive and finite.
-            Unavailable: It has not by the deadline, or the mirror was closed.
+            Unavailable: Not by the deadline, or the mirror was closed.
         """
         check_not_forked()
         with self._changed:
@@ -211,7 +211,7 @@ class Mirror(Closing):
             )
 
     def close(self) -> None:
-        """Ends refreshing; idempotent. What was predicted stays valid."""
+        """Ends refreshing; a second call does nothing. Predictions stay valid."""
         if is_forked():
             return
         self._exit.detach()
@@ -230,13 +230,13 @@ class Mirror(Closing):
         )
 
     def _end_with_interpreter(self) -> None:
-        """Keeps a daemon where it does no harm, once the interpreter ends, and the daemon with it."""
+        """Blocks a daemon thread for good once the interpreter ends, so that it does not enter scipy again."""
         if self._exiting.is_set() and threading.current_thread() is not threading.main_thread():
             self._inside.pop(threading.get_ident(), None)
             threading.Event().wait()
 
     def _check_open(self) -> None:
-        check_not_forked()  # in the child nothing would refresh it
+        check_not_forked()  # nothing refreshes it in the child
         if self._closed.is_set():
             self._end_with_interpreter()
             raise Unavailable(f"the local copy of task {self.name!r} was closed")
@@ -251,20 +251,20 @@ class Mirror(Closing):
             )
 
     def _follow(self) -> None:
-        """Refreshes after notices, which tell only that there is something, and at least every `every_s`."""
+        """Refreshes after each notice, and at least every `every_s`."""
         over = False
         while not over:
             try:
                 over = self._closed.wait(self._pause_s) or self._follow_once()
-            except BaseException as error:  # whatever it is, the next attempt may do better; `fault` and `age_s` tell
+            except BaseException as error:  # the next attempt may succeed; `fault` and `age_s` tell
                 self._note(error)
 
     def _follow_once(self) -> bool:
-        """Waits for a notice and refreshes; whether that was the last time."""
+        """Waits for a notice and refreshes; returns whether it was the last time."""
         self._notices.receive(self._every_s)
         if self._closed.is_set():
             return True
-        over = self._notices.closed  # with the client, as this last attempt will say
+        over = self._notices.closed  # closed with the client, as this last attempt will say
         try:
             self.refresh(_ATTEMPT_S)
         except CrkrError as error:
@@ -272,7 +272,7 @@ class Mirror(Closing):
         return over
 
     def _note(self, error: BaseException) -> None:
-        """Tells of a refresh that failed; of a defect once in the log, and each time in `defects`."""
+        """Records a failed refresh; logs a defect as a warning once, and counts each in `defects`."""
         if isinstance(error, CrkrError):
             self._fault = error
             _logger.debug("the local copy of task %s was not refreshed: %s", self.name, error)
@@ -291,16 +291,16 @@ def _exit(
     thread: threading.Thread,
     transport: Transport,
 ) -> None:
-    """Has all threads leave the library beneath before the interpreter ends.
+    """Waits until no thread is inside scipy before the interpreter ends.
 
-    It ends its daemons wherever they are; in the C++ of scipy, that aborts the process.
+    Interpreter exit kills daemon threads, which aborts the process inside scipy's C++ code.
     """
     if is_forked():
         return
     exiting.set()
     closed.set()
     notices.close()
-    transport.close()  # or a question in progress would wait for its answer
+    transport.close()  # ends a question in progress
     until = time.monotonic() + _EXIT_S
     thread.join(_EXIT_S)
     while inside and time.monotonic() < until:

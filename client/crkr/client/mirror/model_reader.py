@@ -1,4 +1,4 @@
-"""Fetches a task's model when the server has a new one, and refuses what cannot be a copy of the task's policy."""
+"""Fetches a task's model when the server has a new one, and refuses a model that cannot be the task's."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from uuid import UUID
 
 import numpy as np
 
-from crkr.client.answer_checks import reading
+from crkr.client.checks import answer_to
 from crkr.client.network.subscription import TOPICS, Subscription
 from crkr.client.rpc import Rpc
 from crkr.learner import Model
@@ -19,7 +19,7 @@ __all__ = ["ModelReader", "ModelSource"]
 
 
 class ModelSource(Protocol):
-    """The task that is copied, as `Mirror` needs it."""
+    """The part of `Task` that a mirror uses."""
 
     @property
     def name(self) -> str:
@@ -50,11 +50,11 @@ class ModelSource(Protocol):
 
 @final
 class ModelReader:
-    """Asks for the model; one thread at a time.
+    """Asks for the model; used by one thread at a time.
 
     Args:
-        task: What is copied.
-        rpc: What asks which server it is.
+        task: The task to copy.
+        rpc: Asks which server answers.
         check_bounds: Raises `Invalid` where a first copy's bounds of goals are not the task's.
     """
 
@@ -83,14 +83,14 @@ class ModelReader:
         )
         if known is not None and same and reply.get("unchanged") is True:
             return known, asked
-        with reading("model"):
+        with answer_to("model"):
             model = Model.from_wire(reply)
         if known is not None and not _alike(known, model):
             raise Conflict(
                 f"the server now has another task {self._task.name!r}, with other states or goals; the local copy "
                 "stays as it was: make a new mirror"
             )
-        with reading("model"):
+        with answer_to("model"):
             _check(model)
             if known is None:
                 self._check_bounds(model.parameters.low, model.parameters.high)
@@ -99,17 +99,17 @@ class ModelReader:
 
 
 def _check(model: Model) -> None:
-    """Raises `Invalid` for a model that cannot answer with goals to try, whatever it is asked."""
+    """Raises `Invalid` for a model with numbers that are not finite or goals outside the bounds."""
     own, regression = model.parameters, model.regression
     arrays = [own.prior, own.scales, own.low, own.high, *([] if regression is None else [regression.W])]
     if not all(np.isfinite(array).all() for array in arrays):
-        raise Invalid("the model holds what is no finite number")
+        raise Invalid("the model holds numbers that are not finite")
     if not ((model.goals >= own.low) & (model.goals <= own.high)).all():
         raise Invalid("the model holds goals outside its bounds")
 
 
 def _alike(one: Model, other: Model) -> bool:
-    """Whether states and goals are of the same dimensions and bounds, which no task changes."""
+    """Whether states and goals have the same dimensions and bounds, which a task never changes."""
     return all(
         np.array_equal(mine, theirs)
         for mine, theirs in (

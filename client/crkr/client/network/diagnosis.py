@@ -1,12 +1,12 @@
-"""Why nobody answers at an endpoint: Zenoh says "Timeout" or nothing, whatever the reason is.
+"""Why no server answers at an endpoint, and what access control allows: Zenoh says "Timeout" or nothing.
 
-what is found                                by what
-the endpoint is none                         its text: protocol, host, port
-its host has no address                      a look-up
+finding                                      found by
+the endpoint is not valid                    its text: protocol, host, port
+its host has no address                      a name look-up
 nobody listens, or the host does not answer  a TCP connection
 TLS on one side only, or a certificate       a handshake, see `crkr.client.network.tls_handshake`
-something else than Zenoh listens            its first words
-a Zenoh router that is no crkr server        no token of a server there
+another program listens                      its first words
+a Zenoh router without a crkr server         no server's token
 """
 
 from __future__ import annotations
@@ -58,9 +58,9 @@ class Obstacle:
     """What stands in the way of a connection.
 
     Attributes:
-        what: In words, with what to do.
-        final: Trying again cannot help, as with certificates that do not fit.
-        absent: It is only that nobody listens.
+        what: In words, with advice.
+        final: Another attempt cannot help, as with certificates that do not match.
+        absent: No program listens there.
     """
 
     what: str
@@ -69,7 +69,7 @@ class Obstacle:
 
 
 def fault_in(endpoint: str) -> str | None:
-    """What is wrong with the text of an endpoint; None where nothing is."""
+    """What is wrong with the text of an endpoint, or None."""
     protocol, slash, address = endpoint.partition("/")
     if not slash or not address or re.search(r"\s", endpoint) or not re.fullmatch(r"[a-z0-9_-]+", protocol):
         return "it is not of the form protocol/address"
@@ -92,12 +92,12 @@ def fault_in(endpoint: str) -> str | None:
 
 
 def obstacle(endpoint: str, config: zenoh.Config, patience_s: float) -> Obstacle | None:
-    """Looks for what keeps a client from connecting; None where nothing is found.
+    """Finds what keeps a client from connecting, or None.
 
     Args:
-        endpoint: One in which nothing is wrong.
-        config: With the certificates.
-        patience_s: How long looking may take [s].
+        endpoint: An endpoint without a `fault_in` it.
+        config: Zenoh's, with the certificates.
+        patience_s: Longest time for this [s].
     """
     deadline = time.monotonic() + patience_s
     protocol, address = endpoint.split("/", 1)
@@ -106,7 +106,7 @@ def obstacle(endpoint: str, config: zenoh.Config, patience_s: float) -> Obstacle
     host, _, port = re.split(r"[?#]", address, maxsplit=1)[0].rpartition(":")
     host = host.strip("[]")
     try:
-        if protocol in ("udp", "quic", "quic_datagram"):  # nothing to connect to without speaking it
+        if protocol in ("udp", "quic", "quic_datagram"):  # there is no connection to test
             connection_to(host, int(port), deadline, socket.SOCK_DGRAM).close()
             return None
         connection_to(host, int(port), deadline).close()
@@ -129,7 +129,7 @@ def obstacle(endpoint: str, config: zenoh.Config, patience_s: float) -> Obstacle
 
 
 def silence_of(session: zenoh.Session, patience_s: float) -> str:
-    """Why a question is not even refused on a connection that works; looking takes `patience_s` at most."""
+    """Why a question is neither answered nor refused on a working connection; takes at most `patience_s`."""
     patience_s = min(_TOKENS_S, patience_s)
     with suppress(zenoh.ZError):
         tokens = session.liveliness().get(live_server_key("*"), zenoh.handlers.FifoChannel(4), timeout=patience_s)
@@ -140,7 +140,7 @@ def silence_of(session: zenoh.Session, patience_s: float) -> str:
 
 
 def _first_words(host: str, port: int, deadline: float) -> str | None:
-    """What speaks to everybody who connects; None for what waits as Zenoh does."""
+    """What kind of program speaks first; None for one that waits, as Zenoh does."""
     said = b""
     with suppress(OSError), connection_to(host, port, deadline) as connection:
         connection.settimeout(max(0.001, min(_TALK_S, deadline - time.monotonic())))
@@ -154,9 +154,9 @@ def _first_words(host: str, port: int, deadline: float) -> str | None:
 
 
 def access_rights(session: zenoh.Session, task: str) -> dict[str, bool | None]:
-    """Whether each kind of work is let through, on a connection that works; None: no answer in time.
+    """Whether access control allows each kind of call; None: no answer in time.
 
-    Asks with empty messages, which the server refuses as `Invalid` and stores nothing of: any answer is a yes.
+    Sends empty messages, which the server refuses as `Invalid` without storing anything: any answer means yes.
     """
     keys = {
         "predict": task_key(task, "predict"),
@@ -170,7 +170,7 @@ def access_rights(session: zenoh.Session, task: str) -> dict[str, bool | None]:
 def impostors(session: zenoh.Session, task: str) -> set[str]:
     """Zenoh ids of other clients that answer questions to the server; waits for all answers.
 
-    Empty where another router stands in between, which makes the server one of many.
+    Empty behind another router, where the server cannot be told from other clients.
     """
     trust, found, known = Trust(), set(), False
     for key in (rpc_key("info"), task_key(task, "predict"), task_key(task, "report")):

@@ -31,12 +31,12 @@ _PAUSE_S: Final = 0.1
 
 @final
 class Presence(Closing):
-    """Holds the token from `announce` to the end of the `with` block or of the client, whichever comes first.
+    """Holds the token from `announce` to `close`, or until the client is closed.
 
-    It is declared again by itself after a reconnect.
+    Zenoh declares it again after a reconnect.
 
     Attributes:
-        worker_id: Who is there.
+        worker_id: The worker's id.
     """
 
     def __init__(self, worker_id: str, token: zenoh.LivelinessToken, session: zenoh.Session, left_key: str) -> None:
@@ -78,11 +78,11 @@ class Presence(Closing):
         return presence
 
     def close(self) -> None:
-        """Says that the worker leaves and withdraws its token; a second call does nothing."""
+        """Announces that the worker leaves and withdraws its token; a second call does nothing."""
         if is_forked():
             return
         try:
-            token = self._tokens.pop()  # one of two threads gets it
+            token = self._tokens.pop()  # of two threads, one gets it
         except IndexError:
             return
         release(self)
@@ -91,12 +91,12 @@ class Presence(Closing):
             withdraw_token(token)
             withdraw_token(left)
         except zenoh.ZError as error:
-            if "closed" not in str(error).lower():  # with its session, a token is gone already
+            if "closed" not in str(error).lower():  # the token ended with its session
                 raise Internal(f"the token could not be withdrawn: {brief(error)}") from error
 
 
 def _take(session: zenoh.Session, task: str, worker_id: str, endpoint: str) -> zenoh.LivelinessToken | CrkrError:
-    """The token of a worker's id, or why there is none now."""
+    """The token of a worker's id, or the error that says why it cannot be had now."""
     try:
         token = take_token(session, live_worker_key(task, worker_id), partial(claim_worker_key, task, worker_id))
     except NotConnected as error:

@@ -1,4 +1,4 @@
-"""A part that one process at a time plays in a task, such as judging it."""
+"""A role that one process at a time has in a task, such as judging it."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ _PAUSE_S: Final = 0.1
 
 @final
 class Role(Closing):
-    """Held from `take` until it is closed, or its client or process ends; then it is free for others.
+    """Held from `take` until it is closed, or its client or process ends; then another process may take it.
 
-    Two may hold one after a server's restart or a broken connection, when a holder's token was away for a moment: all
-    but one learn that from `is_mine` and close theirs, and what is done under a role must bear being done twice.
+    After a server's restart or a broken connection two processes may hold the same role for a while. `is_mine` tells
+    all but one of them to close theirs, so work done under a role must be safe to do twice.
     """
 
     def __init__(self, token: zenoh.LivelinessToken, key: str, session: zenoh.Session, taken: str) -> None:
@@ -40,7 +40,7 @@ class Role(Closing):
     def take(
         cls, connect: Callable[[float], zenoh.Session], owner: Session, task: str, role: str, deadline: float
     ) -> Role | None:
-        """Takes a role that is free; None where another process has it.
+        """Takes a free role; None where another process has it.
 
         Raises:
             Invalid: The role's name cannot stand in a key.
@@ -53,7 +53,7 @@ class Role(Closing):
             while (token := take_token(connected, key, partial(claim_role_key, task, role), taken)) is None:
                 if standing_tokens(connected, taken) or time.monotonic() > deadline:
                     return None
-                owner.pause(_PAUSE_S * random.uniform(0.2, 1.0))  # others want it at this moment
+                owner.pause(_PAUSE_S * random.uniform(0.2, 1.0))  # others claim it at this moment
         except NotConnected as error:
             raise Unavailable(f"{error} at {owner.connection.endpoint}; is the server running?") from error
         except zenoh.ZError as error:
@@ -61,16 +61,16 @@ class Role(Closing):
         return cls(token, key, connected, taken)
 
     def is_mine(self) -> bool:
-        """Asks: False where another holds it too who is to keep it, or where it was closed."""
+        """Asks whether this process is to keep the role: False where another holder is, or after `close`."""
         if not self._tokens:
             return False
         try:
             return min(standing_tokens(self._session, self._taken), default=self._key) >= self._key
         except (NotConnected, zenoh.ZError):
-            return True  # nobody tells otherwise
+            return True  # unknown: keep it
 
     def close(self) -> None:
-        """Lets go of the role; a second call does nothing."""
+        """Gives the role up; a second call does nothing."""
         if is_forked():
             return
         try:
@@ -81,5 +81,5 @@ class Role(Closing):
         try:
             withdraw_token(token)
         except zenoh.ZError as error:
-            if "closed" not in str(error).lower():  # with its session, a token is gone already
-                raise Internal(f"the role could not be let go: {brief(error)}") from error
+            if "closed" not in str(error).lower():  # the token ended with its session
+                raise Internal(f"the role could not be given up: {brief(error)}") from error

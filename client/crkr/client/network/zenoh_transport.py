@@ -1,10 +1,10 @@
-"""The client's only view of Zenoh: a query is bytes to bytes by a deadline, a publication is bytes that may be lost.
+"""The transport over Zenoh: a query is bytes to bytes by a deadline, a publication is bytes that may be lost.
 
 reply                                what the transport does
 ok                                   returns its bytes
 error BUSY, SHUTTING_DOWN            waits as told, sends the same bytes again
 other error                          raises its exception
-none (EMPTY) or Zenoh's "Timeout"    outcome unknown: sends the same bytes again
+no reply, or Zenoh's own "Timeout"    outcome unknown: sends the same bytes again
 deadline reached                     raises Unavailable
 """
 
@@ -53,7 +53,7 @@ _LOOK_AGAIN_S: Final = 1.0
 
 
 class _Unanswered(Exception):
-    """This attempt brought no answer; `pause_s` is when the server asked to be tried again."""
+    """This attempt brought no answer; `pause_s` is the pause that the server asked for."""
 
     def __init__(self, reason: str, pause_s: float | None = None) -> None:
         super().__init__(reason)
@@ -66,14 +66,14 @@ class ZenohTransport(Closing):
     """Queries and publications over one session; safe to use from many threads.
 
     Attributes:
-        session: The Zenoh session beneath.
+        session: The Zenoh session.
     """
 
     def __init__(self, connection: Connection) -> None:
         self.session: Final = Session(connection)
         self._trust = Trust()
         self._found: tuple[float, str] | None = None
-        self._client = os.urandom(16)  # tells the server which calls are one client's
+        self._client = os.urandom(16)  # tells the server which calls come from this client
 
     @property
     def endpoint(self) -> str:
@@ -82,7 +82,7 @@ class ZenohTransport(Closing):
 
     @property
     def strangers(self) -> int:
-        """Answers that were ignored, as they came from another client and not from the server."""
+        """Answers that were ignored because they came from another client."""
         return self._trust.strangers
 
     def query(
@@ -149,10 +149,10 @@ class ZenohTransport(Closing):
             return brief(error)
         if not session.info.routers_zid():
             return "not connected"
-        return self._whom(session, patience_s)
+        return self._why_silent(session, patience_s)
 
-    def _whom(self, session: zenoh.Session, patience_s: float) -> str:
-        """What it is that is connected and does not answer; looked at once a second."""
+    def _why_silent(self, session: zenoh.Session, patience_s: float) -> str:
+        """Why the connected router does not answer; checked once a second."""
         now = time.monotonic()
         if self._found is None or now - self._found[0] > _LOOK_AGAIN_S:
             self._found = now, silence_of(session, patience_s)
@@ -181,7 +181,7 @@ class ZenohTransport(Closing):
         )
 
     def publish(self, key: str, kind: str, payload: bytes) -> None:
-        """Publishes if there is a connection, and drops it where there is none or it is congested; never waits."""
+        """As `Transport.publish`; without a connection, or with a congested one, the message is dropped."""
         session = self.session.peek()
         if session is None:
             _logger.debug("not connected: dropped a publication on %s", key)
@@ -192,7 +192,7 @@ class ZenohTransport(Closing):
                 payload,
                 encoding=encoding(kind),
                 congestion_control=zenoh.CongestionControl.DROP,
-                priority=zenoh.Priority.DATA_LOW,  # a picture never delays a report
+                priority=zenoh.Priority.DATA_LOW,  # below reports
             )
         except zenoh.ZError as error:
             _logger.debug("dropped a publication on %s: %s", key, brief(error))
@@ -234,17 +234,17 @@ class ZenohTransport(Closing):
 
 
 def _is_empty(error: zenoh.ZError) -> bool:
-    """Whether the question came to its end without a reply."""
+    """Whether the question ended without a reply."""
     return "empty and closed" in str(error)
 
 
 def _nobody_serves(session: zenoh.Session, error: zenoh.ZError) -> bool:
-    """Whether a server is there and has nothing under the key, or denies it to this client."""
+    """Whether a router is connected and serves nothing under the key, or denies it to this client."""
     return _is_empty(error) and not session.is_closed() and bool(session.info.routers_zid())
 
 
 def _pause(attempt: int) -> float:
-    """Doubling pauses with jitter, so that a fleet does not come back in step."""
+    """Doubling pauses with jitter, so that many clients do not return at the same moment."""
     return min(_LONGEST_PAUSE_S, _FIRST_PAUSE_S * 2.0 ** min(attempt, 10)) * random.uniform(0.75, 1.25)
 
 
@@ -255,7 +255,7 @@ def _open_reply(reply: zenoh.Reply, key: str) -> bytes:
     if reply.err is None:
         raise _Unanswered("an empty reply")
     body = reply.err.payload.to_bytes()
-    if body == b"Timeout":  # Zenoh's own, when the attempt's time is over
+    if body == b"Timeout":  # Zenoh's own, at the end of the attempt
         raise _Unanswered("connected, but no reply in time")
     try:
         error = error_from_wire(unpack(body))

@@ -1,4 +1,4 @@
-"""What is to be believed of an answer, whoever gave it: goals that the task can have, receipts for what was sent."""
+"""Checks of times that a program gives, and of answers: goals within the task's bounds, receipts for what was sent."""
 
 from __future__ import annotations
 
@@ -23,14 +23,21 @@ from crkr.protocol import (
 )
 from crkr.protocol.codec import MAX_DEPTH
 
-__all__ = ["Belief", "Goals", "check_bounds", "check_receipt", "plain", "reading"]
+__all__ = ["AnswerCheck", "GoalCheck", "answer_to", "check_bounds", "check_receipt", "plain", "positive"]
 
 _Look: TypeAlias = Callable[[float | None], tuple[TaskSpec, bool]]  # asks the server for a task's specification
 
 
+def positive(timeout_s: float) -> float:
+    """The time [s] as a float; raises `Invalid` for one that is not positive and finite."""
+    if not isinstance(timeout_s, int | float) or not 0 < timeout_s < float("inf"):
+        raise Invalid(f"timeout_s must be a positive number of seconds; got {timeout_s!r}")
+    return float(timeout_s)
+
+
 @final
-class reading:  # noqa: N801 - it reads as a phrase, `with reading(verb):`
-    """Turns a complaint about an answer into `Internal`: it is the server that is wrong, not the caller."""
+class answer_to:  # noqa: N801 - it reads as a phrase, `with answer_to(verb):`
+    """Turns an error in decoding an answer into `Internal`, since the server is wrong, not the caller."""
 
     __slots__ = ("_verb",)
 
@@ -46,7 +53,7 @@ class reading:  # noqa: N801 - it reads as a phrase, `with reading(verb):`
 
 
 def plain(value: Any, depth: int = MAX_DEPTH) -> Any:
-    """A decoded message with its array maps as arrays and its ids as UUIDs, all the way down.
+    """A decoded message, with arrays for its array maps and UUIDs for its ids, at every level.
 
     Raises:
         Invalid: An array map whose bytes and shape disagree; more than `depth` maps and lists in each other.
@@ -63,8 +70,8 @@ def plain(value: Any, depth: int = MAX_DEPTH) -> Any:
 
 
 @final
-class Goals:
-    """What goals a task can have.
+class GoalCheck:
+    """Checks that a task can have the goals of an answer.
 
     Attributes:
         spec: The task's specification.
@@ -76,14 +83,14 @@ class Goals:
         self._lows, self._highs = self._low.tolist(), self._high.tolist()
 
     def check(self, answer: Prediction, ids: Sequence[bytes]) -> Prediction:
-        """The answer, if a robot may try it.
+        """Returns the answer if a robot may try its goals.
 
         Args:
-            answer: As it was read.
-            ids: Those that were asked for, 16 bytes each.
+            answer: The decoded answer.
+            ids: The ids that were asked about, 16 bytes each.
 
         Raises:
-            Internal: Goals outside the bounds or not finite; `details["prediction"]` has them.
+            Internal: Goals outside the bounds or not finite; `details["prediction"]` has the answer.
             Invalid: Another shape, means or sigmas that are not finite, other ids.
         """
         shape = (*answer.states.shape[:-1], len(self._lows))
@@ -92,11 +99,11 @@ class Goals:
         if not (self._has_one(answer) if len(shape) == 1 else self._has_all(answer)):
             raise self._complaint(answer)
         if [one.bytes for one in answer.trial_ids] != ids:
-            raise Invalid("it is about other trials than those that were asked about")
+            raise Invalid("it is about other trials than the question")
         return answer
 
     def _has_one(self, answer: Prediction) -> bool:
-        """For one state, without numpy's price for few numbers."""
+        """For one state; numpy is slow for few numbers."""
         goals = answer.goals.tolist()
         if not (all(map(operator.le, self._lows, goals)) and all(map(operator.le, goals, self._highs))):
             return False
@@ -114,32 +121,32 @@ class Goals:
             return Invalid("its means and sigmas must be finite")
         axis, given = self.spec.goal[wrong[0][-1]], goals[tuple(wrong[0])]
         return Internal(
-            f"the server proposes a goal that is not to be tried: {axis.name!r} must be in [{axis.low}, {axis.high}] "
-            f"{axis.unit}; got {given}",
+            f"the server proposes a goal outside the bounds: {axis.name!r} must be in [{axis.low}, {axis.high}]"
+            f"{axis.unit and ' '}{axis.unit}; got {given}",
             details={"prediction": answer},
         )
 
 
 @final
-class Belief:
-    """A task's answers, checked against the bounds that it is known to have."""
+class AnswerCheck:
+    """Checks a task's answers against the bounds of its specification."""
 
     def __init__(self) -> None:
-        self._known: Goals | None = None
+        self._known: GoalCheck | None = None
 
     def check(self, spec: TaskSpec, look: _Look, answer: Prediction, ids: Sequence[bytes]) -> Prediction:
         """As `Goals.check`; before it is refused, the server is asked whether it came back with other data."""
         known = self._known
         if known is None or known.spec is not spec:
-            known = self._known = Goals(spec)
+            known = self._known = GoalCheck(spec)
         try:
             return known.check(answer, ids)
         except (Internal, Invalid):
-            return Goals(look(None)[0]).check(answer, ids)
+            return GoalCheck(look(None)[0]).check(answer, ids)
 
 
 def check_bounds(known: TaskSpec | None, look: _Look, low: Array, high: Array) -> None:
-    """Raises `Invalid` where the bounds of a model are others than those of the specification, if it is known."""
+    """Raises `Invalid` where a model's bounds differ from those of the specification, if that is known."""
     if known is not None and not _are(low, high, known) and not _are(low, high, look(None)[0]):
         raise Invalid("the bounds of its goals are not the task's")
 
@@ -149,7 +156,7 @@ def _are(low: Array, high: Array, spec: TaskSpec) -> bool:
 
 
 def check_receipt(receipt: Receipt, count: int) -> Receipt:
-    """The receipt of `count` trials; raises `Invalid` where it is one of others."""
+    """Returns the receipt; raises `Invalid` where it is not one of `count` trials."""
     if receipt.accepted + receipt.duplicates != count or len(receipt.seqs) != count:
         raise Invalid(f"it acknowledges {receipt.accepted + receipt.duplicates} trials of {count}")
     return receipt

@@ -1,0 +1,94 @@
+"""`crkr export` and `crkr import`."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated, Final
+
+import typer
+
+from crkr.client import Client
+from crkr.client.cli.console import print_json, stderr, stdout
+from crkr.client.cli.options import Connect, Json, Overwrite, Timeout, ZenohConfig
+from crkr.client.cli.output_file import check_output
+from crkr.client.cli.progress import ProgressBar
+from crkr.protocol import Internal
+
+__all__ = ["export", "import_"]
+
+_PAGE: Final = 5000  # trials asked for, and written, together
+
+
+def export(
+    task: Annotated[str, typer.Argument(help="Name of the task.")],
+    file: Annotated[Path, typer.Argument(dir_okay=False, help="Where to; .parquet, .csv or .npz says as what.")],
+    overwrite: Overwrite = False,
+    connect: Connect = None,
+    timeout: Timeout = 10.0,
+    zenoh_config: ZenohConfig = None,
+    as_json: Json = False,
+) -> None:
+    """Write all trials of a task to a file, with their present costs; the server goes on meanwhile.
+
+    Example: crkr export throw throw.parquet
+
+    Settings and fitted numbers are not in it: for a copy of everything, take `crkr backup`.
+    """
+    from crkr.client.trial_files import Layout, check_kind, trial_sink
+
+    check_kind(file)
+    check_output(file, overwrite=overwrite)
+    with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
+        handle = client.task(task)
+        layout, total = Layout(handle.spec), sum(handle.status()["samples"].values())
+        done = 0
+        bar = ProgressBar(stderr, f"exporting {task}", total, "trials")
+        with trial_sink(file, layout, overwrite=overwrite) as sink, bar:
+            following: int | None = 0
+            while following is not None:
+                page, following = handle.samples(following, _PAGE)
+                sink.write(layout.columns(page))
+                done += len(page)
+                bar.show(done)
+    size = file.stat().st_size
+    if as_json:
+        print_json({"task": task, "file": str(file), "trials": done, "bytes": size})
+    else:
+        stdout.print(f"{file}: {done} trials, {size} bytes")
+
+
+def import_(
+    task: Annotated[str, typer.Argument(help="Name of the task, which must exist.")],
+    file: Annotated[
+        Path, typer.Argument(exists=True, dir_okay=False, help="A .parquet, .csv or .npz of `crkr export`.")
+    ],
+    connect: Connect = None,
+    timeout: Timeout = 60.0,
+    zenoh_config: ZenohConfig = None,
+    as_json: Json = False,
+) -> None:
+    """Report the trials of a file, under the ids that they have there; doing it again stores nothing twice.
+
+    Example: crkr create throw.toml; crkr import throw throw.parquet
+
+    A file that something else wrote needs the columns id, kind, success, cost, state.NAME and goal.NAME.
+    """
+    from crkr.client.trial_files import Layout, check_kind, trial_source
+    from crkr.client.trial_files.trial_import import import_rows
+
+    check_kind(file)
+    with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
+        handle = client.task(task)
+        source = trial_source(file, Layout(handle.spec))
+        with ProgressBar(stderr, f"importing {file.name}", source.count, "trials") as bar:
+            done = import_rows(handle, source.rows, timeout, bar.show)
+    if done.accepted + done.duplicates != source.count:
+        raise Internal(f"{file} has {source.count} rows, but {done.accepted + done.duplicates} were acknowledged")
+    if done.packed:
+        stderr.print(f"{done.packed} rows have info that an earlier version took; it is kept as bytes under '$msgpack'")
+    if as_json:
+        print_json({"task": task, "file": str(file), "trials": source.count, **asdict(done)})
+    else:
+        removed = f", {done.removed} taken out of learning" if done.removed else ""
+        stdout.print(f"{task}: {done.accepted} trials stored, {done.duplicates} known already{removed}")

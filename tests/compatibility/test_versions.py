@@ -134,7 +134,7 @@ def test_a_log_and_an_outbox_of_the_earlier_version_are_read(
     server.process.wait()
     server = serve("now", data=data, port=free_port)
     after = told("now", "find", server.endpoint, box)
-    for part in (before, after):  # who works on a task is known to the process only
+    for part in (before, after):  # only the process knows the workers of a task
         part[0][1][1] = part[2][1][1] = None
     assert_alike(after, before)
     assert told("now", "deliver", server.endpoint, box) == [6, [0, 0], True]

@@ -12,12 +12,11 @@ import weakref
 from collections.abc import AsyncIterator, Callable, Coroutine, Mapping, Sequence
 from concurrent.futures import Future
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Concatenate, Final, ParamSpec, TypeVar, final
 
 from crkr.client.call_threads import AwaitedCalls, CallThreads, run_aside
 from crkr.client.client import Client, TaskSummary
-from crkr.client.lifetimes import check_not_forked
+from crkr.client.lifetimes import AsyncClosing, check_not_forked
 from crkr.client.network.subscription import TOPICS, Subscription
 from crkr.client.task import Task
 from crkr.protocol import StoredTrial, TaskSpec
@@ -94,7 +93,7 @@ class AsyncTask:
 
 
 @final
-class AsyncSubscription:
+class AsyncSubscription(AsyncClosing):
     """Publications as an asynchronous iterator of (topic, message); an asynchronous context manager, for one loop."""
 
     def __init__(self, subscription: Subscription) -> None:
@@ -155,17 +154,9 @@ class AsyncSubscription:
             elif self._over():
                 return
 
-    async def __aenter__(self) -> AsyncSubscription:
-        return self
-
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        await self.close()
-
 
 @final
-class AsyncClient:
+class AsyncClient(AsyncClosing):
     """`Client`, awaited; an asynchronous context manager. It may serve one event loop after another.
 
     Attributes:
@@ -239,11 +230,3 @@ class AsyncClient:
         """Ends the connection; calls in progress end with `Unavailable`."""
         self._calls.close()
         await run_aside(self.blocking.close)
-
-    async def __aenter__(self) -> AsyncClient:
-        return self
-
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        await self.close()

@@ -16,7 +16,7 @@ from weakref import WeakKeyDictionary
 
 from crkr.protocol import Unavailable
 
-__all__ = ["Closing", "check_not_forked", "hold", "is_forked", "leave_in_child", "release", "stay"]
+__all__ = ["AsyncClosing", "Closing", "check_not_forked", "hold", "is_forked", "leave_in_child", "release", "stay"]
 
 _held: Final[WeakKeyDictionary[object, object]] = WeakKeyDictionary()
 _locked: Final[set[int]] = set()  # open files
@@ -36,6 +36,22 @@ class Closing(ABC):
 
     def __exit__(self, *error: object) -> None:
         self.close()
+
+
+class AsyncClosing(ABC):
+    """Something to be closed, which the end of an `async with` block does."""
+
+    __slots__ = ("__weakref__",)
+
+    @abstractmethod
+    async def close(self) -> None:
+        """Closes it; a second call does nothing."""
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(self, *error: object) -> None:
+        await self.close()
 
 
 class _Process:

@@ -1,4 +1,4 @@
-"""What is no refusal is not called one: whoever is told so stops trying. Real refusals are in the system's tests."""
+"""No false refusals: a client that reads one stops trying. Real refusals are in the tests of the system."""
 
 import socket
 import threading

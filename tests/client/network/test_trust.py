@@ -31,7 +31,7 @@ KEYS = [
 
 
 def forged(verb: str, request: dict[str, Any]) -> dict[str, Any]:
-    """What one would answer who wants to be believed."""
+    """An answer that looks like the server's."""
     if verb == "report":
         count = len(request["trials"])
         return {"accepted": count, "duplicates": 0, "seqs": [2**40] * count, "model_version": 2**41}

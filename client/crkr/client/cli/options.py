@@ -36,7 +36,7 @@ Connect = Annotated[
 ]
 Timeout = Annotated[
     float,
-    typer.Option("--timeout", min=0.01, metavar="SECONDS", help="Deadline.", rich_help_panel="Connection"),
+    typer.Option("--timeout", min=0.01, metavar="SECONDS", help="Deadline of each call.", rich_help_panel="Connection"),
 ]
 ZenohConfig = Annotated[
     Path | None,
@@ -50,11 +50,14 @@ ZenohConfig = Annotated[
     ),
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON value for programs.")]
-Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace a file that is there already.")]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace an existing file.")]
 LogLevel = Annotated[
     str,
     typer.Option(
-        "--log-level", envvar="CRKR_LOG_LEVEL", metavar="LEVEL", help="debug, info, warning or error, on stderr."
+        "--log-level",
+        envvar="CRKR_LOG_LEVEL",
+        metavar="LEVEL",
+        help="Log to standard error: debug, info, warning or error.",
     ),
 ]
 

@@ -37,10 +37,10 @@ _Check = tuple[str, bool, str]
 
 def doctor(
     data: Annotated[
-        Path | None, typer.Option("--data", metavar="DIR", help="Also look at the disk under a data directory.")
+        Path | None, typer.Option("--data", metavar="DIR", help="Also check the disk of a data directory.")
     ] = None,
     outbox: Annotated[
-        Path | None, typer.Option("--outbox", metavar="FILE", help="Also look into an outbox that no program has open.")
+        Path | None, typer.Option("--outbox", metavar="FILE", help="Also check an outbox that no program has open.")
     ] = None,
     connect: Connect = None,
     timeout: Timeout = 5.0,

@@ -16,15 +16,17 @@ from crkr.protocol import Prediction, SampleExplanation, TaskSpec
 __all__ = ["explain", "predict", "report"]
 
 _Task = Annotated[str, typer.Argument(help="Name of the task.")]
-_State = Annotated[str, typer.Option("--state", help='The situation, in quotes: "0.1 0.2".')]
+_State = Annotated[str, typer.Option("--state", help='The state, in quotes: "0.1 0.2".')]
 
 
 def predict(
     task: _Task,
     state: _State,
-    explore: Annotated[bool, typer.Option("--explore", help="Draw a goal to try, rather than the best known.")] = False,
+    explore: Annotated[
+        bool, typer.Option("--explore", help="Draw a goal to try instead of the best known one.")
+    ] = False,
     trial_id: Annotated[
-        str | None, typer.Option("--id", metavar="UUID", help="Id of the trial to come; it fixes the draw.")
+        str | None, typer.Option("--id", metavar="UUID", help="Id of the trial to come, which fixes the draw.")
     ] = None,
     connect: Connect = None,
     timeout: Timeout = 5.0,
@@ -51,22 +53,22 @@ def predict(
 def report(
     task: _Task,
     state: _State,
-    goal: Annotated[str, typer.Option("--goal", help="The goal that was executed, in quotes.")],
-    success: Annotated[bool, typer.Option("--success/--failure", help="May it be learned from?")],
-    cost: Annotated[float | None, typer.Option("--cost", help="In [0, 1]; left out only for kind failed.")] = None,
+    goal: Annotated[str, typer.Option("--goal", help="The executed goal, in quotes.")],
+    success: Annotated[bool, typer.Option("--success/--failure", help="Whether to learn from it.")],
+    cost: Annotated[float | None, typer.Option("--cost", help="In [0, 1]; omitted only for kind failed.")] = None,
     kind: Annotated[str, typer.Option("--kind", help="trial, demonstration, evaluation or failed.")] = "trial",
-    outcome: Annotated[str | None, typer.Option("--outcome", help="Measured numbers; nan is not observed.")] = None,
+    outcome: Annotated[str | None, typer.Option("--outcome", help="Measured numbers; nan means not observed.")] = None,
     trial_id: Annotated[
-        str | None, typer.Option("--id", metavar="UUID", help="The trial's id, as `crkr predict` gave it.")
+        str | None, typer.Option("--id", metavar="UUID", help="The trial's id, from `crkr predict`.")
     ] = None,
-    worker: Annotated[str | None, typer.Option("--worker", help="Who reports.")] = None,
-    wait: Annotated[bool, typer.Option("--wait", help="Return only when the model includes it.")] = False,
+    worker: Annotated[str | None, typer.Option("--worker", help="Name of the reporting process.")] = None,
+    wait: Annotated[bool, typer.Option("--wait", help="Wait until the model includes it.")] = False,
     connect: Connect = None,
     timeout: Timeout = 5.0,
     zenoh_config: ZenohConfig = None,
     as_json: Json = False,
 ) -> None:
-    """Store what a goal cost; it is on the server's disk when this returns.
+    """Store the cost of an executed goal; it is on the server's disk when the command returns.
 
     Example: crkr report throw --state "0.3 1.2" --goal "3.4 0.25" --cost 0.12 --success
     """
@@ -99,13 +101,13 @@ def report(
 def explain(
     task: _Task,
     state: _State,
-    sample: Annotated[str | None, typer.Option("--sample", metavar="UUID", help="Where does this one stand?")] = None,
+    sample: Annotated[str | None, typer.Option("--sample", metavar="UUID", help="Id of a sample to explain.")] = None,
     connect: Connect = None,
     timeout: Timeout = 5.0,
     zenoh_config: ZenohConfig = None,
     as_json: Json = False,
 ) -> None:
-    """Show the samples behind an answer, and why one sample is or is not in the model.
+    """Show the samples that determine an answer, and why a sample is or is not in the model.
 
     Example: crkr explain throw --state "0.3 1.2"
     """

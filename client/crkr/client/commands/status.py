@@ -19,9 +19,10 @@ _MOST_NAMED = 20  # tasks
 
 
 def status(
-    task: Annotated[str | None, typer.Argument(help="Name of a task; the whole server unless given.")] = None,
+    task: Annotated[str | None, typer.Argument(help="Name of a task; without it, the whole server.")] = None,
     check: Annotated[
-        bool, typer.Option("--check", help="Print nothing; exit 0 if it answers and all its threads run, 1 if not.")
+        bool,
+        typer.Option("--check", help="Print nothing; exit 0 if the server answers and all its threads run, else 1."),
     ] = False,
     connect: Connect = None,
     timeout: Timeout = 5.0,

@@ -22,18 +22,18 @@ _PAGE: Final = 5000  # trials asked for, and written, together
 
 def export(
     task: Annotated[str, typer.Argument(help="Name of the task.")],
-    file: Annotated[Path, typer.Argument(dir_okay=False, help="Where to; .parquet, .csv or .npz says as what.")],
+    file: Annotated[Path, typer.Argument(dir_okay=False, help="File to write: .parquet, .csv or .npz.")],
     overwrite: Overwrite = False,
     connect: Connect = None,
     timeout: Timeout = 10.0,
     zenoh_config: ZenohConfig = None,
     as_json: Json = False,
 ) -> None:
-    """Write all trials of a task to a file, with their present costs; the server goes on meanwhile.
+    """Write all trials of a task, with their present costs, to a file.
 
     Example: crkr export throw throw.parquet
 
-    Settings and fitted numbers are not in it: for a copy of everything, take `crkr backup`.
+    The file has no settings and no fitted numbers; `crkr backup` copies everything.
     """
     from crkr.client.trial_files import Layout, check_kind, trial_sink
 
@@ -59,20 +59,18 @@ def export(
 
 
 def import_(
-    task: Annotated[str, typer.Argument(help="Name of the task, which must exist.")],
-    file: Annotated[
-        Path, typer.Argument(exists=True, dir_okay=False, help="A .parquet, .csv or .npz of `crkr export`.")
-    ],
+    task: Annotated[str, typer.Argument(help="Name of an existing task.")],
+    file: Annotated[Path, typer.Argument(exists=True, dir_okay=False, help="File to read: .parquet, .csv or .npz.")],
     connect: Connect = None,
     timeout: Timeout = 60.0,
     zenoh_config: ZenohConfig = None,
     as_json: Json = False,
 ) -> None:
-    """Report the trials of a file, under the ids that they have there; doing it again stores nothing twice.
+    """Store the trials of a file under their own ids; importing again stores nothing twice.
 
     Example: crkr create throw.toml; crkr import throw throw.parquet
 
-    A file that something else wrote needs the columns id, kind, success, cost, state.NAME and goal.NAME.
+    A file of another program needs the columns id, kind, success, cost, state.NAME and goal.NAME.
     """
     from crkr.client.trial_files import Layout, check_kind, trial_source
     from crkr.client.trial_files.trial_import import import_rows

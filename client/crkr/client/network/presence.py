@@ -23,7 +23,7 @@ from crkr.client.network.session import NotConnected, Session
 from crkr.protocol import Conflict, CrkrError, Internal, Invalid, Unavailable, live_worker_key
 from crkr.protocol.keys import claim_worker_key, left_worker_key
 
-__all__ = ["Presence", "standing_tokens", "take_token", "withdraw_token"]
+__all__ = ["Presence", "end_token", "standing_tokens", "take_token", "withdraw_token"]
 
 _WORKER: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._:-]{0,126}")
 _PAUSE_S: Final = 0.1
@@ -79,20 +79,12 @@ class Presence(Closing):
 
     def close(self) -> None:
         """Announces that the worker leaves and withdraws its token; a second call does nothing."""
-        if is_forked():
-            return
-        try:
-            token = self._tokens.pop()  # of two threads, one gets it
-        except IndexError:
-            return
-        release(self)
-        try:
-            left = self._session.liveliness().declare_token(self._left_key)
-            withdraw_token(token)
-            withdraw_token(left)
-        except zenoh.ZError as error:
-            if "closed" not in str(error).lower():  # the token ended with its session
-                raise Internal(f"the token could not be withdrawn: {brief(error)}") from error
+        end_token(self, self._tokens, self._leave, "the token could not be withdrawn")
+
+    def _leave(self, token: zenoh.LivelinessToken) -> None:
+        left = self._session.liveliness().declare_token(self._left_key)
+        withdraw_token(token)
+        withdraw_token(left)
 
 
 def _take(session: zenoh.Session, task: str, worker_id: str, endpoint: str) -> zenoh.LivelinessToken | CrkrError:
@@ -143,3 +135,28 @@ def standing_tokens(session: zenoh.Session, key: str) -> set[str]:
 def withdraw_token(token: zenoh.LivelinessToken) -> None:
     """Withdraws a token."""
     token.undeclare()  # type: ignore[no-untyped-call]  # zenoh's stub gives it no return type
+
+
+def end_token(
+    owner: object,
+    tokens: list[zenoh.LivelinessToken],
+    withdraw: Callable[[zenoh.LivelinessToken], None],
+    complaint: str,
+) -> None:
+    """Withdraws the token that `owner` holds; does nothing where it was withdrawn before, or in a forked child.
+
+    Raises:
+        Internal: Zenoh refuses.
+    """
+    if is_forked():
+        return
+    try:
+        token = tokens.pop()  # of two threads, one gets it
+    except IndexError:
+        return
+    release(owner)
+    try:
+        withdraw(token)
+    except zenoh.ZError as error:
+        if "closed" not in str(error).lower():  # the token ended with its session
+            raise Internal(f"{complaint}: {brief(error)}") from error

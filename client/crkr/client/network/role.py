@@ -11,9 +11,9 @@ from uuid import uuid4
 
 import zenoh
 
-from crkr.client.lifetimes import Closing, hold, is_forked, release
+from crkr.client.lifetimes import Closing, hold
 from crkr.client.network.config import brief
-from crkr.client.network.presence import standing_tokens, take_token, withdraw_token
+from crkr.client.network.presence import end_token, standing_tokens, take_token, withdraw_token
 from crkr.client.network.session import NotConnected, Session
 from crkr.protocol import Internal, Unavailable, check_name
 from crkr.protocol.keys import claim_role_key, live_role_key
@@ -71,15 +71,4 @@ class Role(Closing):
 
     def close(self) -> None:
         """Gives the role up; a second call does nothing."""
-        if is_forked():
-            return
-        try:
-            token = self._tokens.pop()
-        except IndexError:
-            return
-        release(self)
-        try:
-            withdraw_token(token)
-        except zenoh.ZError as error:
-            if "closed" not in str(error).lower():  # the token ended with its session
-                raise Internal(f"the role could not be given up: {brief(error)}") from error
+        end_token(self, self._tokens, withdraw_token, "the role could not be given up")

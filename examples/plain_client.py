@@ -34,7 +34,7 @@ SPEC = {
 
 
 def connect(endpoint: str) -> zenoh.Session:
-    """A client that knows one endpoint and looks for nobody else."""
+    """Connects to one endpoint, without discovery."""
     config = zenoh.Config()
     for key, value in {
         "mode": "client",
@@ -49,7 +49,7 @@ def connect(endpoint: str) -> zenoh.Session:
 
 
 def ask(session: zenoh.Session, verb: str, message: Message, version: int = 1) -> Message:
-    """Asks until there is an answer; returns its map, with a field "code" if it is an error reply."""
+    """Repeats a query until it is answered; returns the map, which has "code" if it is an error reply."""
     deadline = time.monotonic() + DEADLINE_S
     encoding = f"application/msgpack;crkr.{verb.rpartition('/')[2]}.v{version}"
     while time.monotonic() < deadline:
@@ -60,9 +60,9 @@ def ask(session: zenoh.Session, verb: str, message: Message, version: int = 1) -
             consolidation=zenoh.ConsolidationMode.NONE,
             timeout=1.0,
         )
-        for reply in replies:  # none at all: nobody is there yet, or it has just gone
+        for reply in replies:  # empty while no server answers
             body = payload(reply)
-            if body != b"Timeout":  # that is Zenoh's own
+            if body != b"Timeout":  # Zenoh's own error
                 answer: Message = msgpack.unpackb(body)
                 return answer
         time.sleep(0.1)
@@ -77,7 +77,7 @@ def payload(reply: zenoh.Reply) -> bytes:
 
 
 def array(numbers: list[float]) -> Message:
-    """A vector as the protocol writes it; plain lists are understood too."""
+    """A vector in the protocol's form; the server also accepts plain lists."""
     return {"shape": [len(numbers)], "dtype": "<f8", "data": struct.pack(f"<{len(numbers)}d", *numbers)}
 
 
@@ -109,7 +109,7 @@ def pages(session: zenoh.Session, task: str) -> Iterator[Message]:
 
 
 def flood(session: zenoh.Session, task: str) -> int:
-    """Asks far more at once than the server queues, and counts how often it says BUSY rather than nothing."""
+    """Sends more queries at once than the server queues; counts the answers BUSY."""
     question = msgpack.packb({"state": [1.0]})
     waiting = [
         session.get(f"crkr/@v1/{task}/rpc/explain", zenoh.handlers.FifoChannel(1), payload=question, timeout=10.0)

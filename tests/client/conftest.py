@@ -1,9 +1,6 @@
-"""A peer that speaks Zenoh and msgpack but is none of our server: it answers as each test tells it to."""
+"""A stand-in for a server: it speaks Zenoh and msgpack and answers as each test tells it to."""
 
 import json
-import socket
-import subprocess
-import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
@@ -13,8 +10,8 @@ from typing import Any
 import msgpack
 import pytest
 import zenoh
+from shared_server import shared_server
 
-GONE_WITHIN_S = 10.0
 CODEC = "application/msgpack"
 
 
@@ -99,14 +96,5 @@ def make_peer(free_port: int) -> Iterator[Callable[..., Peer]]:
 @pytest.fixture(scope="module")
 def shared_endpoint(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     """A real server for all tests of a module; each makes tasks of its own."""
-    command = [sys.executable, "-m", "crkr.client", "server", "--listen", "tcp/127.0.0.1:0"]
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        command[-1] = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
-    data = tmp_path_factory.mktemp("data")
-    with subprocess.Popen([*command, "--data", str(data)], stderr=subprocess.DEVNULL) as process:
-        try:
-            yield command[-1]
-        finally:
-            process.terminate()
-            assert process.wait(GONE_WITHIN_S) == 0
+    with shared_server(tmp_path_factory.mktemp("data")) as endpoint:
+        yield endpoint

@@ -1,9 +1,9 @@
 """A local copy of a policy answers as the server does, follows it, goes on without it, and says how old it is."""
 
-import ctypes
 import itertools
 import signal
 import threading
+import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -11,10 +11,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from named_threads import raise_in, thread_named
 from putting import IDS, PROBES, assert_alike, practise, specification
 
 from crkr.client import Client, Task
 from crkr.client.mirror import Mirror
+from crkr.client.network.config import Connection
+from crkr.client.network.zenoh_transport import ZenohTransport
 from crkr.protocol import (
     Invalid,
     NoSamples,
@@ -117,8 +120,8 @@ def test_a_copy_that_must_be_young_is_asked_about_often_enough(client: Client, p
     practise(task, 5, 3)
     with task.mirror(every_s=1000.0, pause_s=1000.0, max_age_s=0.3) as mirror:
         for _ in range(3):
-            confirmed = mirror._confirmed
-            processes.wait_until(lambda confirmed=confirmed: mirror._confirmed > confirmed)
+            asked = time.monotonic()
+            processes.wait_until(lambda asked=asked: time.monotonic() - mirror.age_s > asked)
 
 
 def test_a_closed_one_answers_no_more(client: Client) -> None:
@@ -135,8 +138,9 @@ def test_a_closed_one_answers_no_more(client: Client) -> None:
 def test_its_thread_ends_with_the_client_and_the_copy_says_that_it_is_not_refreshed(shared_endpoint: str) -> None:
     with Client(shared_endpoint) as client:
         mirror = client.create_task(specification()).mirror(every_s=0.05, pause_s=0.01)
-    mirror._thread.join(PATIENCE_S)
-    assert not mirror._thread.is_alive()
+        thread = thread_named(f"crkr-mirror-{mirror.name}")
+    thread.join(PATIENCE_S)
+    assert not thread.is_alive()
     assert mirror.fault is not None
     assert "closed" in mirror.fault.message
     with pytest.raises(Unavailable):
@@ -186,6 +190,13 @@ def test_threads_may_predict_while_it_is_refreshed(client: Client) -> None:
     assert not failures
 
 
+def complaint(mirror: Mirror) -> str:
+    """Why a refresh fails now."""
+    with pytest.raises(Unavailable) as caught:
+        mirror.refresh(0.2)
+    return caught.value.message
+
+
 def test_a_refresh_ends_by_its_deadline_while_another_waits_for_a_server_that_stands_still(
     start_server: Callable[..., Any], processes: Any
 ) -> None:
@@ -197,9 +208,7 @@ def test_a_refresh_ends_by_its_deadline_while_another_waits_for_a_server_that_st
             server.process.send_signal(signal.SIGSTOP)
             try:
                 waiting = pool.submit(mirror.refresh, PATIENCE_S)
-                processes.wait_until(mirror._refreshing.locked)
-                with pytest.raises(Unavailable, match="another refresh"):
-                    mirror.refresh(0.2)
+                processes.wait_until(lambda: "another refresh" in complaint(mirror))
                 assert not waiting.done()
             finally:
                 server.process.send_signal(signal.SIGCONT)
@@ -222,14 +231,15 @@ def test_client_mirror_and_outbox_may_be_closed_in_any_order(
     processes.wait_until(lambda: not [thread for thread in threading.enumerate() if thread.name.endswith(task.name)])
 
 
-def test_a_notice_that_nobody_can_read_does_not_end_its_refreshing(client: Client) -> None:
+def test_an_unreadable_notice_does_not_end_refreshing(client: Client) -> None:
     task = client.create_task(specification())
     practise(task, 10, 1)
-    with task.mirror(every_s=0.1, pause_s=0.01) as mirror:
-        stranger = client._rpc.transport
+    transport = ZenohTransport(Connection.choose(client.endpoint, None))
+    with transport, task.mirror(every_s=0.1, pause_s=0.01) as mirror:
+        transport.connect(time.monotonic() + PATIENCE_S)
         for depth in (65, 1000):
             notice = b"\x81\xa1a" + b"\x91" * depth + b"\xc0"
-            stranger.publish(f"crkr/@v1/task/{task.name}/pub/model", "model", notice)
+            transport.publish(f"crkr/@v1/task/{task.name}/pub/model", "model", notice)
         for round_ in (2, 3):
             mirror.wait_for(practise(task, 10, round_), PATIENCE_S)
         assert mirror.defects == 0
@@ -246,9 +256,7 @@ def test_whatever_is_raised_in_its_thread_is_told_and_it_goes_on(
     task = client.create_task(specification())
     practise(task, 10, 1)
     with task.mirror(every_s=0.1, pause_s=0.01) as mirror:
-        assert mirror._thread.ident is not None
-        identity = ctypes.c_ulong(mirror._thread.ident)
-        assert ctypes.pythonapi.PyThreadState_SetAsyncExc(identity, ctypes.py_object(raised)) == 1
+        raise_in(f"crkr-mirror-{task.name}", raised)
         processes.wait_until(lambda: mirror.defects == 1)
         assert "defects=1" in repr(mirror)
         mirror.wait_for(practise(task, 10, 2), PATIENCE_S)

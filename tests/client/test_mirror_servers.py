@@ -124,7 +124,7 @@ def test_another_task_of_the_same_name_is_not_taken_over(make_peer: Callable[...
     peer = served(make_peer, [learned(spec), learned(TaskSpec.from_dict(fields))], [1, 2])
     with Client(peer.endpoint) as client, client.task("putt").mirror(every_s=1000.0, pause_s=1000.0) as mirror:
         before = mirror.predict(PROBES)
-        with pytest.raises(Conflict, match="another now"):
+        with pytest.raises(Conflict, match="another task"):
             mirror.refresh()
         assert isinstance(mirror.fault, Conflict)
         np.testing.assert_array_equal(mirror.predict(PROBES).goals, before.goals)

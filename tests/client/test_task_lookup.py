@@ -3,6 +3,7 @@
 import asyncio
 from collections.abc import Callable
 from typing import Any
+from uuid import UUID
 
 import pytest
 
@@ -132,7 +133,7 @@ def test_an_answer_without_a_specification_is_a_fault_of_the_server(talk: Callab
 def test_which_server_it_is_is_asked_without_the_names_of_its_tasks(talk: Callable[..., Any]) -> None:
     peer = talk(info={"server_id": bytes(16)})
     with Client(peer.endpoint) as client:
-        client._rpc.server_id(5.0)
+        assert client.server_id() == UUID(int=0)
     assert unpack(peer.queries[0][1]) == {"limit": 0}
 
 

@@ -16,7 +16,9 @@ from typing import Any
 
 import pytest
 
-from crkr.client import Client
+from crkr.client.network.config import Connection
+from crkr.client.network.zenoh_transport import ZenohTransport
+from crkr.client.rpc import Rpc
 from crkr.protocol import Unavailable, Unsupported, task_key
 
 FOLDER = Path(__file__).parent
@@ -94,8 +96,9 @@ def test_the_earlier_client_is_another_program(earlier: Path) -> None:
 
 
 def test_the_earlier_server_is_another_program(serve: Start) -> None:
-    with Client(serve("earlier").endpoint) as client, pytest.raises(Unsupported, match="'spec' is not offered"):
-        client._rpc.call(task_key("toss", "spec"), {})
+    connection = Connection.choose(serve("earlier").endpoint, None)
+    with ZenohTransport(connection) as transport, pytest.raises(Unsupported, match="'spec' is not offered"):
+        Rpc(transport, 5.0).call(task_key("toss", "spec"), {})
 
 
 @pytest.mark.parametrize(("client", "server"), [("earlier", "now"), ("now", "earlier")])
@@ -136,7 +139,7 @@ def test_a_log_and_an_outbox_of_the_earlier_version_are_read(
     server.process.wait()
     server = serve("now", data=data, port=free_port)
     after = told("now", "find", server.endpoint, box)
-    for part in (before, after):  # who works on a task is known to the process only
+    for part in (before, after):  # only the process knows the workers of a task
         part[0][1][1] = part[2][1][1] = None
     assert_alike(after, before)
     assert told("now", "deliver", server.endpoint, box) == [6, [0, 0], True]
@@ -161,8 +164,8 @@ def test_access_control_that_was_set_up_for_the_earlier_version_leaves_tasks_to_
         }"""
     )
     endpoint = start_server("--zenoh-config", str(rules)).endpoint
-    with Client(endpoint) as client, pytest.raises(Unavailable):
-        client._rpc.call(task_key("toss", "spec"), {}, 0.3)
+    with ZenohTransport(Connection.choose(endpoint, None)) as transport, pytest.raises(Unavailable):
+        Rpc(transport, 0.3).call(task_key("toss", "spec"), {})
     found = told("now", "converse", endpoint, tmp_path / "box")
     free = start_server(data=tmp_path / "free").endpoint
     assert_alike(found, told("now", "converse", free, tmp_path / "free.box"))

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from crkr.client.network.rpc import plain
+from crkr.client.checks import plain
 from crkr.dashboard import Telemetry
 from crkr.protocol import Geom, Invalid, Trace
 

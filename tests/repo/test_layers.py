@@ -182,6 +182,33 @@ def test_an_untyped_binding_is_imported_in_one_module_of_a_part(package: str) ->
         assert len(users) <= 1, f"{package} is imported in {', '.join(users)}"
 
 
+def test_the_client_imports_zenoh_in_one_folder() -> None:
+    allowed = [REPOSITORY / "client/crkr/client" / folder for folder in ("network", "bench")]
+    users = [
+        path.relative_to(REPOSITORY).as_posix()
+        for path in sources("client")
+        if not any(path.is_relative_to(folder) for folder in allowed)
+        and any(name.split(".")[0] == "zenoh" for _, name in imported_modules(path.read_text(), ""))
+    ]
+    assert users == []
+
+
+@pytest.mark.parametrize("root", LAYERS)
+def test_no_modules_import_each_other_in_a_circle(root: str) -> None:
+    """Imports in functions and for type checking count too."""
+    paths = {
+        ".".join(path.relative_to(REPOSITORY / root).with_suffix("").parts).removesuffix(".__init__"): path
+        for path in sources(root)
+    }
+    remaining = {
+        module: {name for _, name in imported_modules(path.read_text(), module)} & paths.keys()
+        for module, path in paths.items()
+    }
+    while free := {module for module, needed in remaining.items() if not needed}:
+        remaining = {module: needed - free for module, needed in remaining.items() if module not in free}
+    assert not remaining
+
+
 def test_the_table_names_the_roots_that_are_installed() -> None:
     build = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["tool"]["hatch"]["build"]
     assert set(build["dev-mode-dirs"]) == set(LAYERS)

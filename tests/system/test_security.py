@@ -20,6 +20,8 @@ import zenoh
 from crkr.client import Client
 from crkr.client.network.config import Connection
 from crkr.client.network.tls_handshake import refusal
+from crkr.client.network.zenoh_transport import ZenohTransport
+from crkr.client.rpc import Rpc
 from crkr.protocol import Invalid, Unavailable
 from crkr.server.session import _config
 
@@ -202,9 +204,7 @@ def test_the_doctor_tells_a_robot_until_when_the_certificate_is_valid_and_what_i
         ("admin", "look predict report create administer"),
     ],
 )
-def test_a_certificate_gives_the_rights_of_its_name_and_no_more(identity: As, name: str, may: str) -> None:
-    rpc = identity(name)._rpc
-    rpc.transport.connect(rpc.deadline(None))
+def test_a_certificate_gives_the_rights_of_its_name_and_no_more(endpoint: str, keys: Path, name: str, may: str) -> None:
     deeds: dict[str, tuple[str, dict[str, Any]]] = {
         "look": ("task/reach/rpc/samples", {}),
         "predict": ("task/reach/rpc/predict", {"states": [0.5]}),
@@ -213,18 +213,20 @@ def test_a_certificate_gives_the_rights_of_its_name_and_no_more(identity: As, na
         "administer": ("task/reach/admin/remove", {"ids": []}),
     }
     expected = may.split()
-    heard = [
-        deed
-        for deed, (key, message) in deeds.items()
-        if is_heard(rpc, f"crkr/@v1/{key}", message, DEADLINE_S if deed in expected else 0.3)
-    ]
+    with ZenohTransport(Connection.choose(endpoint, keys / name / "client.json5")) as transport:
+        transport.connect(time.monotonic() + DEADLINE_S)
+        heard = [
+            deed
+            for deed, (key, message) in deeds.items()
+            if is_heard(transport, f"crkr/@v1/{key}", message, DEADLINE_S if deed in expected else 0.3)
+        ]
     assert heard == expected
 
 
-def is_heard(rpc: Any, key: str, message: dict[str, Any], patience_s: float) -> bool:
+def is_heard(transport: ZenohTransport, key: str, message: dict[str, Any], patience_s: float) -> bool:
     """Whether there is an answer, if only a refusal. Silence is how Zenoh denies, on a connection that works."""
     try:
-        rpc.call(key, message, patience_s)
+        Rpc(transport, patience_s).call(key, message)
     except Unavailable as error:
         return not error.details["reason"].startswith("connected, but")
     except Invalid:

@@ -15,32 +15,40 @@ if TYPE_CHECKING:
     from crkr.client.network.role import Role
     from crkr.client.network.subscription import Subscription
     from crkr.client.outbox.outbox import Outbox
+    from crkr.client.policy import AsyncPolicy, Policy
     from crkr.client.task import Task
+    from crkr.client.transport import Transport
 
 __all__ = [
     "AsyncClient",
+    "AsyncPolicy",
     "AsyncSubscription",
     "AsyncTask",
     "Client",
     "Outbox",
+    "Policy",
     "Presence",
     "Role",
     "Subscription",
     "Task",
     "TaskSummary",
+    "Transport",
 ]
 
 _HOME = {
     "AsyncClient": "aio",
+    "AsyncPolicy": "policy",
     "AsyncSubscription": "aio",
     "AsyncTask": "aio",
     "Client": "client",
     "Outbox": "outbox.outbox",
+    "Policy": "policy",
     "Presence": "network.presence",
     "Role": "network.role",
     "Subscription": "network.subscription",
     "Task": "task",
     "TaskSummary": "client",
+    "Transport": "transport",
 }
 
 

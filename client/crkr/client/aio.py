@@ -1,7 +1,7 @@
 """The client for programs that live in an event loop: the same calls, awaited.
 
-Each call in progress has a thread of its own underneath. Zenoh has no coroutines, and a bridge from its threads to the
-loop carries fewer calls a second than threads that wait do.
+Each call in progress blocks a thread. Zenoh has no coroutines, and a bridge from its threads to the loop carries fewer
+calls a second than blocked threads do.
 """
 
 from __future__ import annotations
@@ -11,97 +11,21 @@ import functools
 import weakref
 from collections.abc import AsyncIterator, Callable, Coroutine, Mapping, Sequence
 from concurrent.futures import Future
-from contextlib import suppress
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Concatenate, Final, ParamSpec, TypeVar, final
 
+from crkr.client.call_threads import AwaitedCalls, CallThreads, run_aside
 from crkr.client.client import Client, TaskSummary
-from crkr.client.network.daemon_threads import Daemons
-from crkr.client.network.forks import check_not_forked
-from crkr.client.network.rpc import positive
+from crkr.client.lifetimes import AsyncClosing, check_not_forked
 from crkr.client.network.subscription import TOPICS, Subscription
 from crkr.client.task import Task
-from crkr.protocol import Invalid, StoredTrial, TaskSpec, Unavailable
+from crkr.protocol import StoredTrial, TaskSpec
 
 __all__ = ["AsyncClient", "AsyncSubscription", "AsyncTask"]
 
 _P = ParamSpec("_P")
 _T = TypeVar("_T")
-_LISTEN_S: Final = 0.5  # a thread that waits for publications looks so often whether it is still wanted
-
-
-@final
-class _Calls:
-    """Runs blocking calls on threads, so many at a time; a call that waits for its turn waits within its deadline."""
-
-    def __init__(self, most: int, timeout_s: float) -> None:
-        if not isinstance(most, int) or isinstance(most, bool) or most < 1:
-            raise Invalid(f"in_flight must be a whole number of calls, at least 1; got {most!r}")
-        self.most, self.timeout_s = most, timeout_s
-        self.closed = False
-        self._daemons = Daemons("crkr-async")
-        # A semaphore belongs to the loop that it was first waited for in; a program may run several after each other.
-        self._turns: weakref.WeakKeyDictionary[asyncio.AbstractEventLoop, asyncio.Semaphore] = (
-            weakref.WeakKeyDictionary()
-        )
-        self._end = weakref.finalize(self, self._daemons.close)
-
-    async def run(self, call: Callable[..., _T], *args: Any, timeout_s: float | None = None, **kwargs: Any) -> _T:
-        """What the call returns; it is told the time that is left to it."""
-        check_not_forked()
-        loop = asyncio.get_running_loop()
-        deadline = loop.time() + (self.timeout_s if timeout_s is None else positive(timeout_s))
-        turns = self._turns_in(loop)
-        try:
-            async with asyncio.timeout_at(deadline):
-                await turns.acquire()
-        except TimeoutError as error:
-            raise Unavailable(
-                f"{self.most} calls were in progress until the deadline; raise in_flight or timeout_s, "
-                "or ask for many states in one call"
-            ) from error
-        if self.closed:
-            turns.release()
-            raise Unavailable(f"the client is closed: {call.__qualname__} was not called")
-        left = max(deadline - loop.time(), 0.001)
-        try:
-            future = self._daemons.submit(functools.partial(call, *args, **kwargs, timeout_s=left))
-        except BaseException:  # the system gives no thread
-            turns.release()
-            raise
-        try:
-            return await asyncio.wrap_future(future)
-        finally:
-            if future.done():
-                turns.release()
-            else:  # cancelled here; the thread is not done yet
-                future.add_done_callback(functools.partial(_release, loop, turns))
-
-    def _turns_in(self, loop: asyncio.AbstractEventLoop) -> asyncio.Semaphore:
-        if (turns := self._turns.get(loop)) is None:
-            for over in [one for one in self._turns if one.is_closed()]:  # one that was waited for holds its loop
-                del self._turns[over]
-            turns = self._turns[loop] = asyncio.Semaphore(self.most)
-        return turns
-
-    def close(self) -> None:
-        """Takes no more calls."""
-        self.closed = True
-        self._end()
-
-
-async def _aside(call: Callable[[], None]) -> None:
-    """Calls it on a thread of its own: the loop's executor may be full of what ends only with it."""
-    daemons = Daemons("crkr-async-close")
-    future = daemons.submit(call)
-    daemons.close()
-    await asyncio.wrap_future(future)
-
-
-def _release(loop: asyncio.AbstractEventLoop, turns: asyncio.Semaphore, _: Future[Any]) -> None:
-    with suppress(RuntimeError):  # the loop is over, and nobody waits in it
-        loop.call_soon_threadsafe(turns.release)
+_LISTEN_S: Final = 0.5  # a thread that waits for publications checks this often whether the subscription is closed
 
 
 def _awaited(
@@ -122,13 +46,13 @@ def _awaited(
 class AsyncTask:
     """`Task`, awaited: the same arguments, answers, deadlines and errors.
 
-    Who is cancelled stops waiting; a report that was on its way is stored or not, and may be sent again under its id.
+    Cancelling only stops the wait. A report in flight may or may not have been stored; resend it under the same id.
 
     Attributes:
-        blocking: The task beneath, for what has no coroutine: `announce`, `mirror`, `outbox`.
+        blocking: The `Task`, for what has no coroutine: `announce`, `mirror`, `outbox`.
     """
 
-    def __init__(self, task: Task, calls: _Calls) -> None:
+    def __init__(self, task: Task, calls: AwaitedCalls) -> None:
         self.blocking: Final = task
         self._calls = calls
 
@@ -169,15 +93,15 @@ class AsyncTask:
 
 
 @final
-class AsyncSubscription:
+class AsyncSubscription(AsyncClosing):
     """Publications as an asynchronous iterator of (topic, message); an asynchronous context manager, for one loop."""
 
     def __init__(self, subscription: Subscription) -> None:
         self._subscription = subscription
-        self._daemons = Daemons("crkr-async-subscription")
-        self._end = weakref.finalize(self, self._daemons.close)
+        self._threads = CallThreads("crkr-async-subscription")
+        self._end = weakref.finalize(self, self._threads.close)
         self._reading = asyncio.Lock()
-        self._next: Future[tuple[str, dict[str, Any]] | None] | None = None  # what a thread is waiting for
+        self._next: Future[tuple[str, dict[str, Any]] | None] | None = None  # a thread waits for it
 
     @property
     def dropped(self) -> int:
@@ -187,7 +111,7 @@ class AsyncSubscription:
     async def receive(self, timeout_s: float) -> tuple[str, dict[str, Any]] | None:
         """The next publication, or None if there is none within `timeout_s` or ever again.
 
-        Who is cancelled loses none: the next call has what came meanwhile.
+        Cancelling loses nothing: the next call returns what came meanwhile.
         """
         check_not_forked()
         try:
@@ -195,7 +119,7 @@ class AsyncSubscription:
                 while (message := self._at_hand()) is None and not self._over():
                     if self._next is None:
                         wait = functools.partial(self._subscription.receive, _LISTEN_S)
-                        self._next = self._daemons.submit(wait)
+                        self._next = self._threads.submit(wait)
                     await asyncio.wrap_future(self._next)
                 return message
         except TimeoutError:
@@ -203,11 +127,11 @@ class AsyncSubscription:
 
     async def close(self) -> None:
         """Ends the subscription."""
-        await _aside(self._subscription.close)
+        await run_aside(self._subscription.close)
         self._end()
 
     def _at_hand(self) -> tuple[str, dict[str, Any]] | None:
-        """What came, without waiting."""
+        """The next publication if it is here already."""
         if self._next is not None:
             if not self._next.done():
                 return None
@@ -230,21 +154,13 @@ class AsyncSubscription:
             elif self._over():
                 return
 
-    async def __aenter__(self) -> AsyncSubscription:
-        return self
-
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        await self.close()
-
 
 @final
-class AsyncClient:
+class AsyncClient(AsyncClosing):
     """`Client`, awaited; an asynchronous context manager. It may serve one event loop after another.
 
     Attributes:
-        blocking: The client beneath.
+        blocking: The `Client`.
     """
 
     def __init__(
@@ -255,24 +171,29 @@ class AsyncClient:
         zenoh_config: Path | str | None = None,
         in_flight: int = 64,
     ) -> None:
-        """Notes where the server is; arguments as for `Client`.
+        """Connects at the first call; arguments as for `Client`.
 
         Args:
             endpoint: Zenoh endpoint; $CRKR_CONNECT or "tcp/127.0.0.1:7447" where absent.
             timeout_s: Deadline of calls that name none [s].
             zenoh_config: Zenoh configuration file (JSON5).
-            in_flight: Calls in progress at a time; more wait for their turn, within their deadlines.
+            in_flight: Most calls in progress at a time; further calls wait, within their deadlines.
 
         Raises:
             Invalid: The endpoint, the time, the file or the number is not valid.
         """
         self.blocking: Final = Client(endpoint, timeout_s=timeout_s, zenoh_config=zenoh_config)
-        self._calls = _Calls(in_flight, timeout_s)
+        self._calls = AwaitedCalls(in_flight, timeout_s)
 
     @property
     def endpoint(self) -> str:
         """Zenoh endpoint of the server."""
         return self.blocking.endpoint
+
+    @property
+    def in_progress(self) -> int:
+        """Calls that a thread is busy with; a cancelled call counts until its thread is free."""
+        return self._calls.in_progress
 
     async def info(self, *, timeout_s: float | None = None) -> dict[str, Any]:
         """As `Client.info`."""
@@ -308,12 +229,4 @@ class AsyncClient:
     async def close(self) -> None:
         """Ends the connection; calls in progress end with `Unavailable`."""
         self._calls.close()
-        await _aside(self.blocking.close)
-
-    async def __aenter__(self) -> AsyncClient:
-        return self
-
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        await self.close()
+        await run_aside(self.blocking.close)

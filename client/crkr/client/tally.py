@@ -1,4 +1,4 @@
-"""Success by criterion: what a trial says of it, counts over many trials, and how sure a rate is."""
+"""Success by criterion: of one trial, counts over many, and confidence intervals of rates."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ Z95: Final = 1.959963984540054  # the 97.5 % point of the standard normal
 
 
 def stated_epoch(info: Mapping[str, Any]) -> int | None:
-    """The epoch that a trial says it belongs to, or None.
+    """The epoch in a trial's info, or None.
 
-    An evaluation without one was made by hand: it is no point of the learning curve. What is not a whole number from 0
-    to 2**31 - 1 is read as none, because anybody may write to the log.
+    An evaluation without an epoch was made by hand and is not part of the learning curve. Any client may write to the
+    log, so everything except a whole number from 0 to 2**31 - 1 counts as None.
     """
     epoch = info.get("epoch")
     return epoch if type(epoch) is int and 0 <= epoch <= LARGEST_EPOCH else None
 
 
 def success_by_criterion(success: bool, info: Mapping[str, Any]) -> dict[str, bool]:
-    """Success by every criterion that the skill has: the truth values in `info["outcomes"]`, else just "success".
+    """Success by each of the skill's criteria: the truth values in `info["outcomes"]`, else just "success".
 
     Args:
-        success: What the skill chose to learn from.
-        info: The trial's.
+        success: The criterion that is learned from.
+        info: The trial's info.
     """
     outcomes = info.get("outcomes")
     named = outcomes.items() if isinstance(outcomes, Mapping) else ()
@@ -42,12 +42,12 @@ def success_by_criterion(success: bool, info: Mapping[str, Any]) -> dict[str, bo
 @final
 @dataclass(slots=True)
 class Tally:
-    """Trials and their successes; a criterion's rate is over the trials that said whether they met it.
+    """Counts of trials and successes; a criterion's rate is over the trials that were judged by it.
 
     Attributes:
-        trials: How many were counted.
-        judged: By criterion, in order of appearance: how many said whether they met it.
-        successes: How many of these met it.
+        trials: Number of trials.
+        judged: By criterion, in order of appearance: number of trials judged by it.
+        successes: By criterion: number of these that met it.
     """
 
     trials: int = 0
@@ -55,14 +55,14 @@ class Tally:
     successes: Counter[str] = field(default_factory=Counter)
 
     def add(self, met: Mapping[str, bool]) -> None:
-        """Counts a trial, given as `success_by_criterion` tells it."""
+        """Counts a trial, given as the result of `success_by_criterion`."""
         self.trials += 1
         for name, success in met.items():
             self.judged[name] += 1
             self.successes[name] += bool(success)
 
     def remove(self, met: Mapping[str, bool]) -> None:
-        """Takes back a trial that was counted."""
+        """Removes a trial that was counted."""
         self.trials -= 1
         for name, success in met.items():
             self.judged[name] -= 1
@@ -70,24 +70,24 @@ class Tally:
 
     @property
     def criteria(self) -> tuple[str, ...]:
-        """Criteria that some trial was judged by, in order of appearance."""
+        """Criteria with at least one judged trial, in order of appearance."""
         return tuple(name for name, count in self.judged.items() if count > 0)
 
     def rate(self, criterion: str) -> float:
-        """Share of the judged trials that met the criterion; NaN without any."""
+        """Share of the judged trials that met the criterion; NaN if there are none."""
         judged = self.judged[criterion]
         return self.successes[criterion] / judged if judged else math.nan
 
     def rates(self) -> dict[str, float]:
-        """The rate of every criterion that some trial was judged by."""
+        """The rate of every criterion with a judged trial."""
         return {name: self.rate(name) for name in self.criteria}
 
     def interval(self, criterion: str) -> tuple[float, float]:
-        """Wilson's 95 % interval of a rate; (0, 1) without any trial."""
+        """Wilson's 95 % interval of a rate; (0, 1) without trials."""
         return wilson_interval(self.successes[criterion], self.judged[criterion])
 
     def intervals(self) -> dict[str, tuple[float, float]]:
-        """The interval of every criterion that some trial was judged by."""
+        """The interval of every criterion with a judged trial."""
         return {name: self.interval(name) for name in self.criteria}
 
 
@@ -95,8 +95,8 @@ def wilson_interval(successes: int, count: int, z: float = Z95) -> tuple[float, 
     """Wilson's score interval for a proportion  [Wilson1927].
 
     Args:
-        successes: How many succeeded.
-        count: Of how many; none gives (0, 1).
+        successes: Number of successes.
+        count: Number of trials; 0 gives (0, 1).
         z: Standard normal quantile, the default for 95 %.
     """
     if count == 0:

@@ -1,20 +1,19 @@
-"""One task of a server: ask for goals, report what they cost, look at what was learned."""
+"""One task of a server: ask for goals, report what they cost, read what was learned."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import TYPE_CHECKING, Any, Final, Unpack, final
 from uuid import UUID
 
-from crkr.client.goals import Belief, check_receipt
+from crkr.client.checks import AnswerCheck, answer_to, check_bounds, check_receipt, plain
 from crkr.client.network.presence import Presence
-from crkr.client.network.rpc import Rpc, plain, reading
 from crkr.client.network.subscription import TOPICS, Subscription
 from crkr.client.outbox.outbox import Outbox
-from crkr.client.prediction import ask, ask_in_parts
-from crkr.client.task_lookup import look_up
+from crkr.client.rpc import Rpc
+from crkr.client.task_calls import ask, ask_in_parts, look_up
 from crkr.protocol import (
     MAX_TELEMETRY_BYTES,
     Array,
@@ -27,6 +26,7 @@ from crkr.protocol import (
     StoredTrial,
     TaskSpec,
     Trial,
+    TrialFields,
     admin_key,
     check_states,
     make_trials,
@@ -62,7 +62,7 @@ class Task:
         self.created: Final = created
         self._rpc = rpc
         self._spec: TaskSpec | None = None
-        self._belief = Belief()
+        self._answers = AnswerCheck()
 
     @property
     def spec(self) -> TaskSpec:
@@ -84,7 +84,7 @@ class Task:
             states: The situation, or b of them.
             explore: Draw goals to try rather than the best known.
             trial_ids: Ids of the trials to come, which fix the draw; made here where absent.
-            worker: Who asks; the server then counts the trial as open until it is reported.
+            worker: Name of the asking process; the server counts its trials as open until they are reported.
             timeout_s: Deadline [s].
 
         Raises:
@@ -104,61 +104,43 @@ class Task:
             worker=worker,
         )
         message = request.to_wire()
-        if "trial_ids" not in message:  # a retry must be the same question, so that it gets the same draw
+        if "trial_ids" not in message:  # made here, so that a retry gets the same draw
             message["trial_ids"] = random_ids(request.count)
-        ids = [getattr(one, "bytes", one) for one in message["trial_ids"]]  # UUIDs, or bytes that were made here
+        ids = [getattr(one, "bytes", one) for one in message["trial_ids"]]  # UUIDs, or bytes made here
         if request.count > (most := most_states(spec)):
             answer = ask_in_parts(self._rpc, self.name, request.states, message, most, timeout_s)
         else:
             answer = ask(self._rpc, self.name, request.states, message, timeout_s)
-        with reading("predict"):
-            return self._belief.check(self.spec, self._look, answer, ids)
+        with answer_to("predict"):
+            return self._answers.check(self.spec, self._look, answer, ids)
 
     def _predict_one(self, state: Array, explore: object, worker: object, timeout_s: float | None) -> Prediction:
-        """The commonest question, without a map on the way there and back."""
+        """One state, the most frequent question, packed and read without intermediate maps."""
         named = None if worker is None else text(worker, "worker", longest=128)
         identity = random_ids(1)[0]
         payload = packed_question(state, flag(explore, "explore"), identity, named)
         reply = self._rpc.exchange(task_key(self.name, "predict"), "predict", payload, timeout_s)
-        with reading("predict"):
+        with answer_to("predict"):
             answer = read_answer(reply, state, len(self.spec.goal))
             if answer is None:
                 answer = Prediction.from_wire(unpack(reply), state)
-            return self._belief.check(self.spec, self._look, answer, [identity])
+            return self._answers.check(self.spec, self._look, answer, [identity])
 
     def report(
         self,
         answer: Prediction | None = None,
         *,
-        state: object = None,
-        goal: object = None,
-        cost: object,
-        success: object,
-        kind: str = "trial",
-        id: UUID | bytes | Sequence[UUID | bytes] | None = None,  # noqa: A002 - the protocol's word
-        outcome: object = None,
-        worker: str | None = None,
-        model_version: int | None = None,
-        info: Mapping[str, Any] | Sequence[Mapping[str, Any]] | None = None,
         wait: bool = False,
         timeout_s: float | None = None,
+        **trial: Unpack[TrialFields],
     ) -> Receipt:
-        """Stores what one trial or a batch cost; when this returns, it is on the server's disk.
+        """Stores what one trial or a batch cost. The trials are on the server's disk when this returns.
 
         Args:
             answer: The prediction that was tried; or give `state` and `goal`.
-            state: (d,) or (b, d).
-            goal: (p,) or (b, p) executed, within the bounds.
-            cost: In [0, 1], one or b; None for kind "failed".
-            success: One flag, or b.
-            kind: "trial", "demonstration", "evaluation" or "failed".
-            id: One id or b; the answer's, or random ones, where absent.
-            outcome: (q,) or (b, q) measured, NaN where not observed.
-            worker: Who reports.
-            model_version: The model that proposed the goals.
-            info: Plain data to keep with it.
             wait: Return only after the model includes it.
             timeout_s: Deadline [s].
+            trial: What was done and how it went, see `crkr.protocol.TrialFields`.
 
         Raises:
             Invalid: A value of the wrong shape or out of range; nothing was stored.
@@ -166,27 +148,13 @@ class Task:
             StorageError: The server cannot write; nothing was stored.
         """
         spec, timeout_s = self._specified(timeout_s)
-        trials = make_trials(
-            spec,
-            answer,
-            state=state,
-            goal=goal,
-            cost=cost,
-            success=success,
-            kind=kind,
-            id=id,
-            outcome=outcome,
-            worker=worker,
-            model_version=model_version,
-            info=info,
-        )
-        return self.report_trials(trials, wait=wait, timeout_s=timeout_s)
+        return self.report_trials(make_trials(spec, answer, **trial), wait=wait, timeout_s=timeout_s)
 
     def report_trials(self, trials: Sequence[Trial], *, wait: bool = False, timeout_s: float | None = None) -> Receipt:
-        """Stores trials, all or none; as `report`."""
+        """Stores trials, all or none, as `report` does."""
         message = ReportRequest(tuple(trials), wait).to_wire()
         reply = self._rpc.call(task_key(self.name, "report"), message, timeout_s)
-        with reading("report"):
+        with answer_to("report"):
             return check_receipt(Receipt.from_wire(reply), len(trials))
 
     def status(self, *, timeout_s: float | None = None) -> dict[str, Any]:
@@ -194,16 +162,16 @@ class Task:
         return self._read("status", {}, timeout_s)
 
     def model(self, known_version: int | None = None, *, timeout_s: float | None = None) -> dict[str, Any]:
-        """The model as data (arrays, ids as UUIDs), or `unchanged` if it still has `known_version`."""
+        """The model as data (arrays, ids as UUIDs), or `unchanged` if its version still is `known_version`."""
         return self._read("model", {} if known_version is None else {"known_version": known_version}, timeout_s)
 
     def samples(
         self, after: int = 0, limit: int = 1000, *, timeout_s: float | None = None
     ) -> tuple[list[StoredTrial], int | None]:
-        """A page of the log: trials with seq > `after`, and the seq to go on after (None at the end)."""
+        """One page of the log: trials with seq > `after`, and the next `after` (None at the end)."""
         spec, timeout_s = self._specified(timeout_s)
         reply = self._rpc.call(task_key(self.name, "samples"), {"after": after, "limit": limit}, timeout_s)
-        with reading("samples"):
+        with answer_to("samples"):
             following = reply.get("next")
             page = [StoredTrial.from_wire(entry, spec) for entry in required(reply, "samples")]
             return page, None if following is None else integer(following, "next")
@@ -216,13 +184,13 @@ class Task:
             yield from page
 
     def explain(self, state: object, sample_id: UUID | None = None, *, timeout_s: float | None = None) -> Explanation:
-        """The samples behind the answer for a state (d,), and where one sample stands."""
+        """The samples that determine the answer for a state (d,), and the standing of one sample."""
         spec, timeout_s = self._specified(timeout_s)
         message: dict[str, Any] = {"state": finite_array(state, "state", (len(spec.state),))}
         if sample_id is not None:
             message["sample_id"] = sample_id
         reply = self._rpc.call(task_key(self.name, "explain"), message, timeout_s)
-        with reading("explain"):
+        with answer_to("explain"):
             return Explanation.from_wire(reply)
 
     def recost(
@@ -233,31 +201,31 @@ class Task:
         return self._admin("recost", {"ids": list(ids), "costs": checked, "reason": reason}, timeout_s)
 
     def remove(self, ids: Sequence[UUID], reason: str = "", *, timeout_s: float | None = None) -> dict[str, Any]:
-        """Takes trials out of learning; they stay in the log, marked: `removed`, `seq`, `model_version`."""
+        """Removes trials from the model; the log keeps them, marked: `removed`, `seq`, `model_version`."""
         return self._admin("remove", {"ids": list(ids), "reason": reason}, timeout_s)
 
     def refit(self, *, timeout_s: float | None = None) -> dict[str, Any]:
-        """Fits the kernel to the evidence: the hyper-parameters, or `accepted` False."""
+        """Fits the kernel by its evidence: returns the hyper-parameters, or `accepted` False."""
         return self._admin("refit", {}, timeout_s)
 
     def configure(self, changes: Mapping[str, Any], *, timeout_s: float | None = None) -> dict[str, Any]:
-        """Changes settings of `crkr.protocol.CHANGEABLE`; returns the answer, which holds the spec in force."""
+        """Changes settings named in `crkr.protocol.CHANGEABLE`; the answer holds the specification in force."""
         reply = self._admin("configure", {"changes": dict(changes)}, timeout_s)
         self._spec = None
         return reply
 
     def archive(self, *, timeout_s: float | None = None) -> dict[str, Any]:
-        """Ends learning for good; reads and stored data stay."""
+        """Ends learning for good; the task still answers and keeps its data."""
         return self._admin("archive", {}, timeout_s)
 
     def announce(self, worker_id: str, *, timeout_s: float | None = None) -> Presence:
-        """Shows a worker as alive while the returned context lasts.
+        """Shows a worker as alive until the returned object is closed.
 
         Raises:
             Invalid: An id that cannot stand in a key.
             Conflict: A living worker has that id.
         """
-        return Presence.announce(self._rpc.transport, self.name, worker_id, self._rpc.deadline(timeout_s))
+        return self._rpc.transport.announce(self.name, worker_id, self._rpc.deadline(timeout_s))
 
     def publish(self, topic: str, message: Mapping[str, Any]) -> None:
         """Publishes telemetry ("trial" or "evaluation"); it may be lost, and this never waits.
@@ -270,7 +238,8 @@ class Task:
         payload = pack(message)
         if len(payload) > MAX_TELEMETRY_BYTES:
             raise Invalid(
-                f"{topic} telemetry has {len(payload)} bytes; the limit is {MAX_TELEMETRY_BYTES}: thin out its trace"
+                f"{topic} telemetry has {len(payload)} bytes; the limit is {MAX_TELEMETRY_BYTES}: "
+                "send fewer points of its trace"
             )
         self._rpc.transport.publish(pub_key(self.name, topic), topic, payload)
 
@@ -278,8 +247,7 @@ class Task:
         self, topics: Sequence[str] = TOPICS, capacity: int = 4096, *, timeout_s: float | None = None
     ) -> Subscription:
         """Receives what workers ("trial", "evaluation") and the server ("model") publish, from now on."""
-        session = self._rpc.transport.connect(self._rpc.deadline(timeout_s))
-        return Subscription(session, self.name, topics, capacity)
+        return self._rpc.transport.subscribe(self.name, topics, capacity, self._rpc.deadline(timeout_s))
 
     def mirror(
         self,
@@ -299,7 +267,15 @@ class Task:
         except ModuleNotFoundError as error:
             wanted = "a local copy of a policy needs the extra 'mirror': pip install 'crkr[mirror]'"
             raise ModuleNotFoundError(wanted, name=error.name) from error
-        return Mirror(self, self._rpc, every_s=every_s, pause_s=pause_s, max_age_s=max_age_s, timeout_s=timeout_s)
+        return Mirror(
+            self,
+            self._rpc,
+            self._check_bounds,
+            every_s=every_s,
+            pause_s=pause_s,
+            max_age_s=max_age_s,
+            timeout_s=timeout_s,
+        )
 
     def outbox(self, path: Path | str, *, timeout_s: float | None = None) -> Outbox:
         """Reports that wait in a file until the server answers; see `Outbox`.
@@ -319,7 +295,7 @@ class Task:
         return f"Task({self.name!r})"
 
     def _specified(self, timeout_s: float | None) -> tuple[TaskSpec, float | None]:
-        """The specification, and what is left of the time [s] where it had to be asked for."""
+        """The specification, and the remaining time [s] if it had to be asked for."""
         if self._spec is not None:
             return self._spec, timeout_s
         deadline = self._rpc.deadline(timeout_s)
@@ -331,12 +307,15 @@ class Task:
         self._spec, archived = look_up(self._rpc, self.name, timeout_s)
         return self._spec, archived
 
+    def _check_bounds(self, low: Array, high: Array) -> None:
+        check_bounds(self._spec, self._look, low, high)
+
     def _read(self, verb: str, message: Mapping[str, Any], timeout_s: float | None) -> dict[str, Any]:
         reply = self._rpc.call(task_key(self.name, verb), message, timeout_s)
-        with reading(verb):
+        with answer_to(verb):
             return {key: plain(value) for key, value in reply.items()}
 
     def _admin(self, verb: str, message: Mapping[str, Any], timeout_s: float | None) -> dict[str, Any]:
         reply = self._rpc.call(admin_key(self.name, verb), message, timeout_s)
-        with reading(verb):
+        with answer_to(verb):
             return {key: plain(value) for key, value in reply.items()}

@@ -13,7 +13,8 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, Final, Protocol, final
 
-from crkr.client.cli.progress import counting
+from crkr.client.cli.console import stderr
+from crkr.client.cli.progress import Progress as ProgressBar
 from crkr.client.cli.stop_request import StopRequest
 from crkr.dashboard.feed import NOT_STORED, View
 from crkr.dashboard.progress import Progress
@@ -119,10 +120,10 @@ class StoredSession:
     def show(self, view: View, tick_s: float, goes_on: Callable[[], bool] = lambda: True) -> Progress:
         """Show every trial on the view, with a progress bar."""
         del tick_s  # Unused.
-        with counting(f"replaying {self.task}", self._run.last) as done:
+        with ProgressBar(stderr, f"replaying {self.task}", self._run.last, "log entries") as bar:
             self.begun = True
             view.task(self._run.spec.description)
-            return replay(self._run, view, lambda: goes_on() and not self.stop, done)
+            return replay(self._run, view, lambda: goes_on() and not self.stop, bar.show)
 
     def wait(self, goes_on: Callable[[], bool]) -> None:
         """Wait until stopped, or not `goes_on`, while the user looks at the run."""

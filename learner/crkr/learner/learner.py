@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
-from typing import Any, Final, final
+from typing import Any, Final, Unpack, final
 from uuid import UUID
 
 import numpy as np
@@ -29,6 +29,7 @@ from crkr.protocol import (
     SampleExplanation,
     TaskSpec,
     Trial,
+    TrialFields,
     Unsupported,
     check_states,
     id_from_wire,
@@ -115,45 +116,22 @@ class Learner:
         self._asked += 1
         return answer
 
-    def report(
-        self,
-        answer: Prediction | None = None,
-        *,
-        state: object = None,
-        goal: object = None,
-        cost: object,
-        success: object,
-        kind: str = "trial",
-        id: UUID | bytes | Sequence[UUID | bytes] | None = None,  # noqa: A002 - the protocol's word
-        outcome: object = None,
-        worker: str | None = None,
-        model_version: int | None = None,
-        info: Mapping[str, Any] | Sequence[Mapping[str, Any]] | None = None,
-    ) -> Receipt:
-        """Stores trials, all or none, and learns from the eligible ones; arguments as for `make_trials`.
+    def report(self, answer: Prediction | None = None, **trial: Unpack[TrialFields]) -> Receipt:
+        """Stores trials, all or none, and learns from the eligible ones.
+
+        Args:
+            answer: The prediction that was tried; or give `state` and `goal`.
+            trial: What was done and how it went, see `TrialFields`.
 
         Raises:
             Invalid: A value that is not allowed.
             Conflict: An id was reported before with other content.
         """
-        ids = id
-        if id is None and answer is None:
+        if trial.get("id") is None and answer is None:
+            state = trial.get("state")
             count = len(state) if np.ndim(state) == 2 else 1  # type: ignore[arg-type]  # checked by make_trials
-            ids = draw_ids(f"crkr/{self.spec.name}/report/{self.version}", count)
-        trials = make_trials(
-            self.spec,
-            answer,
-            state=state,
-            goal=goal,
-            cost=cost,
-            success=success,
-            kind=kind,
-            id=ids,
-            outcome=outcome,
-            worker=worker,
-            model_version=model_version,
-            info=info,
-        )
+            trial["id"] = draw_ids(f"crkr/{self.spec.name}/report/{self.version}", count)
+        trials = make_trials(self.spec, answer, **trial)
         found = self.review(trials)
         seqs = found.seqs(self.version + 1)
         self.apply_trials([seqs[position] for position in found.fresh], [trials[position] for position in found.fresh])

@@ -50,7 +50,7 @@ from crkr.protocol.keys import (
 from crkr.protocol.messages.explanation import Explanation, Neighbour, SampleExplanation
 from crkr.protocol.messages.predict import Prediction, PredictRequest, check_states
 from crkr.protocol.messages.report import Receipt, ReportRequest, StoredTrial
-from crkr.protocol.messages.report_arguments import make_trials
+from crkr.protocol.messages.report_arguments import TrialFields, make_trials
 from crkr.protocol.messages.sizes import check_model_fits, most_active, most_states, most_states_answered
 from crkr.protocol.messages.telemetry import MAX_TELEMETRY_BYTES, Geom, Trace, geoms_from_wire, geoms_to_wire
 from crkr.protocol.plain_text import LogFormatter, printable
@@ -101,6 +101,7 @@ __all__ = [
     "TaskSpec",
     "Trace",
     "Trial",
+    "TrialFields",
     "Unavailable",
     "UnknownTask",
     "Unsupported",

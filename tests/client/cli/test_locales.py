@@ -98,18 +98,18 @@ def unreadable(folder: Path) -> dict[tuple[str, ...], str]:
     (folder / "file.csv").touch()
     (folder / "gone.csv").symlink_to(folder / "nowhere.csv")
     return {
-        ("create", "pipe.toml"): "is no regular file",
+        ("create", "pipe.toml"): "is not an ordinary file",
         ("create", "folder.toml"): "is a directory",
         ("create", "none.toml"): "does not exist",
-        ("import", "lean", "pipe.csv"): "is no regular file",
+        ("import", "lean", "pipe.csv"): "is not an ordinary file",
         ("import", "lean", "folder.csv"): "is a directory",
         ("import", "lean", "none.csv"): "does not exist",
-        ("export", "lean", "pipe.csv"): "exists",
-        ("export", "lean", "pipe.csv", "--overwrite"): "is no regular file",
+        ("export", "lean", "pipe.csv"): "is not an ordinary file",
+        ("export", "lean", "pipe.csv", "--overwrite"): "is not an ordinary file",
         ("export", "lean", "gone.csv"): "exists",
         ("export", "lean", "folder.csv", "--overwrite"): "is a directory",
-        ("export", "lean", "nowhere/a.csv"): "No such file or directory",
-        ("export", "lean", "file.csv/a.csv"): "Not a directory",
+        ("export", "lean", "nowhere/a.csv"): "there is no folder",
+        ("export", "lean", "file.csv/a.csv"): "there is no folder",
         ("export", "lean", "n" * 300 + ".csv"): "File name too long",
     }
 

@@ -5,17 +5,18 @@ import io
 import pytest
 from rich.console import Console
 
-from crkr.client.cli.progress import Progress, counting
+from crkr.client.cli.console import stderr
+from crkr.client.cli.progress import Progress
 
 
 def test_without_a_terminal_there_is_a_plain_line_now_and_then(capsys: pytest.CaptureFixture[str]) -> None:
-    with counting("importing", 10) as show:
+    with Progress(stderr, "importing", 10, "") as bar:
         for done in range(10):
-            show(done)
+            bar.show(done)
     assert capsys.readouterr().err == ""  # it was soon over
-    with counting("importing", 10, every_s=0.0) as show:
-        show(4)
-        show(10)
+    with Progress(stderr, "importing", 10, "", every_s=0.0) as bar:
+        bar.show(4)
+        bar.show(10)
     assert capsys.readouterr() == ("", "importing: 4 of 10\nimporting: 10 of 10\n")
 
 

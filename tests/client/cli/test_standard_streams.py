@@ -34,7 +34,7 @@ def test_a_full_standard_output_is_told_in_one_line(command: str) -> None:
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_a_reader_who_leaves_ends_a_command_quietly(command: str) -> None:
+def test_a_command_ends_quietly_when_its_reader_closes_the_output(command: str) -> None:
     done = shell(f"{command} | true; exit ${{PIPESTATUS[0]}}")  # which leaves long before anything is written
     assert done.returncode == 141
     assert done.stderr == ""
@@ -57,23 +57,23 @@ def test_answers_of_a_server_that_cannot_be_written_end_so_too(question: str) ->
     assert shell(f"{question} >&-").returncode == 0
 
 
-def test_an_error_that_nobody_can_read_is_an_exit_status(tmp_path: Path) -> None:
+def test_an_error_without_standard_error_is_an_exit_status(tmp_path: Path) -> None:
     for sink in ("2>/dev/full", "2>&-", "2> >(true)"):
         assert shell(f"{CRKR} replay {tmp_path} {sink}").returncode == 1
 
 
-def test_a_bar_that_nobody_reads_stops_nothing() -> None:
+def test_a_bar_on_a_closed_stream_stops_nothing() -> None:
     program = """
 import os
-from crkr.client.cli.progress import counting
+from crkr.client.cli.progress import Progress
 from crkr.client.cli.console import stderr, stdout
 reading, writing = os.pipe()
 os.close(reading)
 os.dup2(writing, 2)  # as a pager that was left
 stderr._force_terminal = True
-with counting("importing [/red]x", 3) as show:
+with Progress(stderr, "importing [/red]x", 3, "trials") as bar:
     for done in range(3):
-        show(done)
+        bar.show(done)
         stderr.print("a line")
 stdout.print("[red]literal[/red]")
 """

@@ -125,7 +125,7 @@ def test_a_host_without_an_address_is_named() -> None:
         assert "the host 'no-such-host.invalid' has no address" in words
 
 
-def test_where_nobody_listens_the_doctor_says_so(free_port: int) -> None:
+def test_the_doctor_names_an_endpoint_without_a_listener(free_port: int) -> None:
     assert f"nobody listens at 127.0.0.1:{free_port}" in doctor(f"tcp/127.0.0.1:{free_port}")
 
 

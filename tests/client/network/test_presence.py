@@ -45,7 +45,7 @@ def test_an_id_in_use_is_refused_and_free_again_afterwards(make_peer: MakePeer) 
         other.task("throw").announce("w").close()
 
 
-def test_of_those_who_want_an_id_at_once_one_gets_it(make_peer: MakePeer) -> None:
+def test_one_of_several_claims_at_the_same_time_gets_the_id(make_peer: MakePeer) -> None:
     peer = make_peer([{}])
     with ExitStack() as stack:
         clients = [stack.enter_context(Client(peer.endpoint)) for _ in range(3)]
@@ -150,6 +150,6 @@ def test_an_id_that_cannot_stand_in_a_key_is_refused(free_port: int, worker: Any
         client.task("throw").announce(worker)
 
 
-def test_announcing_to_nobody_ends_at_the_deadline(free_port: int) -> None:
+def test_announcing_without_a_server_ends_at_the_deadline(free_port: int) -> None:
     with Client(f"tcp/127.0.0.1:{free_port}") as client, pytest.raises(Unavailable):
         client.task("throw").announce("w", timeout_s=0.2)

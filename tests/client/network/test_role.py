@@ -12,7 +12,7 @@ import pytest
 
 from crkr.client import Client, Role
 from crkr.client.network.config import Connection
-from crkr.client.network.transport import Transport
+from crkr.client.network.zenoh_transport import ZenohTransport
 from crkr.protocol import Invalid, Unavailable
 from crkr.protocol.keys import live_role_key
 
@@ -52,7 +52,7 @@ def test_a_role_is_free_again_when_its_client_is_closed(make_peer: MakePeer) -> 
         role.close()
 
 
-def test_of_those_who_want_a_role_at_once_one_gets_it(make_peer: MakePeer) -> None:
+def test_one_of_several_claims_at_the_same_time_gets_the_role(make_peer: MakePeer) -> None:
     peer = make_peer([{}])
     with ExitStack() as stack:
         clients = [stack.enter_context(Client(peer.endpoint)) for _ in range(3)]
@@ -74,10 +74,10 @@ def test_of_those_who_want_a_role_at_once_one_gets_it(make_peer: MakePeer) -> No
             assert len(found) == 3
 
 
-def test_of_two_who_hold_a_role_after_all_one_is_told_to_let_go(make_peer: MakePeer) -> None:
+def test_of_two_holders_of_a_role_one_is_told_to_give_it_up(make_peer: MakePeer) -> None:
     peer = make_peer([{}])
     keys = [live_role_key("throw", "judge", str(UUID(int=number))) for number in (1, 2)]
-    transports = [Transport(Connection.choose(peer.endpoint, None)) for _ in keys]
+    transports = [ZenohTransport(Connection.choose(peer.endpoint, None)) for _ in keys]
     sessions = [transport.connect(time.monotonic() + 5.0) for transport in transports]
     pattern = live_role_key("throw", "judge", "*")
     roles = [

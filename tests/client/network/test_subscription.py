@@ -87,7 +87,7 @@ def test_a_publication_beyond_the_limit_of_telemetry_is_skipped(make_peer: MakeP
         assert read_until(subscription, 3) == [("trial", {"number": 3})]
 
 
-def test_a_reader_who_is_away_holds_a_bounded_amount_of_bytes(make_peer: MakePeer) -> None:
+def test_a_slow_reader_holds_a_bounded_number_of_bytes(make_peer: MakePeer) -> None:
     peer = make_peer([{}])
     with Client(peer.endpoint) as client, connected(client, peer) as subscription:
         for number in range(24):

@@ -1,4 +1,4 @@
-"""What is no refusal is not called one: whoever is told so stops trying. Real refusals are in the system's tests."""
+"""No false refusals: a client that reads one stops trying. Real refusals are in the tests of the system."""
 
 import socket
 import threading
@@ -60,7 +60,7 @@ def test_a_connection_that_comes_to_nothing_is_no_refusal(
 
 
 @pytest.mark.parametrize("protocol", ["tls", "tcp", "udp"])
-def test_nobody_there_is_no_refusal(free_port: int, protocol: str) -> None:
+def test_an_endpoint_without_a_listener_is_no_refusal(free_port: int, protocol: str) -> None:
     assert refusal(f"{protocol}/127.0.0.1:{free_port}", config(), 1.0) is None
     assert certificate_end(f"{protocol}/127.0.0.1:{free_port}", config(), 1.0) is None
 
@@ -77,7 +77,7 @@ def test_a_key_that_cannot_be_read_is_told_before_anything_is_tried(tmp_path: Pa
     assert f"{broken} or its key cannot be used" in str(refusal("tls/127.0.0.1:1", files, 1.0))
 
 
-def test_a_name_that_nobody_looks_up_is_given_up_in_time(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_name_look_up_without_an_answer_ends_in_time(monkeypatch: pytest.MonkeyPatch) -> None:
     over, late = threading.Event(), threading.Event()
 
     def look_up(*_: object, **__: object) -> list[object]:

@@ -31,7 +31,7 @@ KEYS = [
 
 
 def forged(verb: str, request: dict[str, Any]) -> dict[str, Any]:
-    """What one would answer who wants to be believed."""
+    """An answer that looks like the server's."""
     if verb == "report":
         count = len(request["trials"])
         return {"accepted": count, "duplicates": 0, "seqs": [2**40] * count, "model_version": 2**41}
@@ -114,7 +114,7 @@ def test_another_client_that_answers_on_the_servers_keys_is_not_believed(
         assert rogue.asked >= 10
 
 
-def test_an_outbox_believes_nobody_else_either(task: Task, shared_endpoint: str, tmp_path: Any) -> None:
+def test_an_outbox_ignores_other_clients_answers_too(task: Task, shared_endpoint: str, tmp_path: Any) -> None:
     with session(shared_endpoint) as stranger, task.outbox(tmp_path / "box") as outbox:
         Rogue(stranger, "crkr/@v1/**", True, lie)
         for number in range(20):
@@ -140,7 +140,7 @@ def test_the_doctor_tells_of_one_that_answers_in_the_servers_place(shared_endpoi
         assert "another client answers" in checks["trust"]["detail"]
 
 
-def test_where_the_server_is_gone_a_stranger_who_answers_is_told_and_not_believed(make_peer: Any) -> None:
+def test_without_a_server_another_client_s_answer_is_named_and_ignored(make_peer: Any) -> None:
     peer = make_peer([{"protocol": 1}, "silence"])
     with Client(peer.endpoint, timeout_s=1.0) as client, session(peer.endpoint) as stranger:
         client.info()
@@ -201,7 +201,7 @@ def test_goals_that_the_task_cannot_have_are_refused(make_peer: Any, goal: list[
     with Client(peer.endpoint, timeout_s=PATIENCE_S) as client:
         task = client.task(spec.name)
         assert task.predict(states, trial_ids=ids).goals.shape == goals.shape
-        with pytest.raises(Internal, match=r"not to be tried: '[ghi]' must be in"):
+        with pytest.raises(Internal, match=r"outside the bounds: '[ghi]' must be in"):
             task.predict(states, trial_ids=ids)
 
 

@@ -174,7 +174,7 @@ def test_times_that_make_no_sense_are_refused(task: Task, tmp_path: Path) -> Non
 
 
 def test_threads_may_close_it_while_others_report(task: Task, tmp_path: Path) -> None:
-    """Whatever was said to be kept is there, and whoever has closed it may open it again."""
+    """Every acknowledged trial is in the file, and a closed outbox may be opened again."""
     said: list[UUID] = []
 
     def report(outbox: Outbox) -> None:

@@ -1,6 +1,5 @@
 """What an outbox does where servers, robots, links, disks and the outbox's own file fail."""
 
-import ctypes
 import json
 import signal
 import sqlite3
@@ -17,8 +16,10 @@ import msgpack
 import numpy as np
 import pytest
 from lobbing import put, specification, stored
+from named_threads import raise_in
 
 from crkr.client import Client, Task
+from crkr.client.outbox.outbox_file import OutboxFile
 from crkr.protocol import Conflict, Invalid, Unavailable, UnknownTask, unpack
 
 PATIENCE_S = 30.0
@@ -144,8 +145,7 @@ def looked_at(endpoint: str, path: Path) -> str:
 def test_whatever_is_raised_in_its_thread_is_told_and_it_goes_on(task: Task, tmp_path: Path, processes: Any) -> None:
     with task.outbox(tmp_path / "box") as outbox:
         for count, raised in enumerate((MemoryError, SystemExit, type("Panic", (BaseException,), {})), start=1):
-            identity = ctypes.c_ulong(outbox._thread.ident or 0)
-            assert ctypes.pythonapi.PyThreadState_SetAsyncExc(identity, ctypes.py_object(raised)) == 1
+            raise_in(f"crkr-outbox-{task.name}", raised)
             put(outbox, 1, count)
             processes.wait_until(lambda count=count: outbox.defects == count)
             outbox.flush(PATIENCE_S)
@@ -241,7 +241,10 @@ def test_an_interrupted_report_leaves_the_count_exact(start_server: Start, free_
         finally:
             signal.signal(signal.SIGALRM, previous)
         assert interrupted == 60
-        assert outbox.pending == outbox._file.pending()
+        counted = outbox.pending
+    file = OutboxFile.existing(tmp_path / "box")
+    assert file.pending() == counted
+    file.close()
 
 
 FULL = """

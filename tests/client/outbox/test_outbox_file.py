@@ -188,7 +188,7 @@ def unchecked(path: Path, body: bytes) -> None:
     database.close()
 
 
-def test_a_row_that_a_version_before_kept_and_nobody_can_read_is_told_from_the_others(tmp_path: Path) -> None:
+def test_an_unreadable_row_of_an_earlier_version_is_told_from_the_others(tmp_path: Path) -> None:
     path = tmp_path / "box"
     file = OutboxFile(path, "lob")
     file.describe(SPEC)

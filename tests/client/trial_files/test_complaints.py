@@ -10,7 +10,7 @@ import pyarrow as pa
 import pyarrow.parquet
 import pytest
 
-from crkr.client.trial_files import Layout, check_kind, reading, writing
+from crkr.client.trial_files import Layout, check_kind, trial_sink, trial_source
 from crkr.protocol import Invalid, StoredTrial, TaskSpec, Trial
 
 Write = Callable[[str], Path]
@@ -34,7 +34,7 @@ def layout() -> Layout:
 
 
 def rows(path: Path, layout: Layout) -> list[Trial]:
-    source = reading(path, layout)
+    source = trial_source(path, layout)
     found = [row.trial for row in source.rows]
     assert len(found) == source.count
     return found
@@ -73,7 +73,7 @@ def test_a_file_of_a_spreadsheet_is_read(tmp_path: Path, layout: Layout) -> None
         ("trial,1,", "trial,,", "row 2: success must be true or false"),
         ("trial,1,", "trial,yes,", "row 2, column 'success'"),
         ("state.x", "state.z", "column 'state.x' is missing; there are: id, kind"),
-        ("outcome.m", "outcome.n", "column 'outcome.n' is no coordinate of task 't'"),
+        ("outcome.m", "outcome.n", "column 'outcome.n' is not a coordinate of task 't'"),
         ("outcome.m", "cost", "column 'cost' comes twice"),
         ("outcome.m", "z" * 200_000, "it cannot be read: field larger than"),
         (GOOD, "", "column 'id' is missing; there are: none"),
@@ -205,7 +205,7 @@ def test_a_failure_leaves_no_file(tmp_path: Path, layout: Layout, kind: str) -> 
     trial = Trial.create(layout.spec, id=UUID(int=1), state=[1], goal=[2], cost=0, success=True)
 
     def fail() -> None:
-        with writing(tmp_path / f"a{kind}", layout) as sink:
+        with trial_sink(tmp_path / f"a{kind}", layout) as sink:
             sink.write(layout.columns([StoredTrial(trial, 2, 0.0)]))
             raise KeyError
 

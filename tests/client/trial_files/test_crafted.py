@@ -16,7 +16,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from crkr.client.trial_files import Layout, reading, writing
+from crkr.client.trial_files import Layout, trial_sink, trial_source
 from crkr.protocol import CrkrError, Invalid, StoredTrial, TaskSpec
 
 LAYOUT = Layout(
@@ -38,7 +38,7 @@ def line(number: int, note: str = "ok") -> str:
 
 
 def read(path: Path) -> int:
-    source = reading(path, LAYOUT)
+    source = trial_source(path, LAYOUT)
     count = len(list(source.rows))
     assert count == source.count
     return count
@@ -62,7 +62,7 @@ def test_a_csv_that_is_not_whole_stores_nothing(tmp_path: Path, text: str, compl
     path = tmp_path / "a.csv"
     path.write_bytes(text.encode(errors="surrogateescape"))
     with pytest.raises(Invalid, match=complaint):
-        next(reading(path, LAYOUT).rows)
+        next(trial_source(path, LAYOUT).rows)
 
 
 def test_quotes_and_line_breaks_within_cells_are_taken(tmp_path: Path) -> None:
@@ -150,14 +150,16 @@ def test_a_parquet_file_whose_columns_would_fill_the_memory_is_refused(tmp_path:
     path = tmp_path / "a.parquet"
     pyarrow.parquet.write_table(table, path, row_group_size=count, use_dictionary=False, compression="zstd")
     with pytest.raises(Invalid, match=r"a group of its rows would have \d+ bytes, but the file has \d+;"):
-        reading(path, LAYOUT)
+        trial_source(path, LAYOUT)
 
 
 @pytest.mark.parametrize("kind", ["npz", "parquet"])
 def test_a_bit_that_fell_over_in_an_export_is_found(tmp_path: Path, kind: str) -> None:
-    trials = [StoredTrial(row.trial, 2, 0.0) for row in reading(npz(tmp_path / "a.npz", good_members()), LAYOUT).rows]
+    trials = [
+        StoredTrial(row.trial, 2, 0.0) for row in trial_source(npz(tmp_path / "a.npz", good_members()), LAYOUT).rows
+    ]
     path = tmp_path / f"b.{kind}"
-    with writing(path, LAYOUT) as sink:
+    with trial_sink(path, LAYOUT) as sink:
         sink.write(LAYOUT.columns(trials))
     data = bytearray(path.read_bytes())
     data[data.index(np.float64(0.25).tobytes()) + 6] ^= 1  # of the second state

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 
 from crkr.client import Client, Task
 from crkr.client.cli.subcommands import build
-from crkr.client.trial_files import Layout, reading, writing
+from crkr.client.trial_files import Layout, trial_sink, trial_source
 from crkr.protocol import Invalid, StoredTrial, TaskSpec, Trial, pack, unpack
 from crkr.server.log import PendingReport, SqliteLog
 
@@ -73,7 +73,7 @@ def tasks(client: Client) -> list[Task]:
 
 
 def written(layout: Layout, trials: list[StoredTrial], path: Path) -> Path:
-    with writing(path, layout, overwrite=True) as sink:
+    with trial_sink(path, layout, overwrite=True) as sink:
         sink.write(layout.columns(trials))
     return path
 
@@ -92,7 +92,7 @@ def test_info_is_refused_or_comes_back_equal_from_the_server_and_every_file(
     [stored], _ = task.samples(receipt.seqs[0] - 1, 1)
     assert same(info, stored.trial.info)
     for kind, other in zip(KINDS, others, strict=True):
-        [row] = reading(written(Layout(task.spec), [stored], tmp_path / f"a.{kind}"), Layout(task.spec)).rows
+        [row] = trial_source(written(Layout(task.spec), [stored], tmp_path / f"a.{kind}"), Layout(task.spec)).rows
         assert not row.packed
         assert same(info, row.trial.info)
         [again], _ = other.samples(other.report_trials([row.trial]).seqs[0] - 1, 1)
@@ -152,7 +152,7 @@ def test_a_log_of_the_version_before_is_exported_and_imported_with_all_its_info(
             assert "7 trials stored" in said
             assert "4 rows have info that an earlier version took" in said
             again = [stored.trial.info for stored in client.task(kind).iter_samples()]
-            assert [unpack(info["$msgpack"]) for info in again[:4]] == OLD[:4]
+            assert [unpack(info["$msgpack"], depth=None) for info in again[:4]] == OLD[:4]
             assert same(infos[4:], again[4:])
             assert "0 trials stored, 7 known" in run(endpoint, "import", "toss", str(tmp_path / f"a.{kind}"))
 
@@ -170,7 +170,7 @@ def test_an_outcome_that_became_empty_cells_is_the_one_that_was_stored(
     for number, measured in enumerate(changes):
         for kind in KINDS:
             path = tmp_path / f"{number}.{kind}"
-            with writing(path, layout) as sink:
+            with trial_sink(path, layout) as sink:
                 sink.write({**columns, "outcome.m": measured})
             assert "0 trials stored, 3 known" in run(shared_endpoint, "import", task.name, str(path))
 
@@ -197,6 +197,6 @@ def test_a_worker_and_a_version_come_back_equal_from_every_file(tmp_path: Path, 
     layout = Layout(TaskSpec.from_dict({"name": "toss", **SPEC}))
     one = {"state": [0.1], "goal": [0.2], "cost": 0.3, "success": True, "worker": worker, "model_version": 2**53 + 1}
     trial = Trial.create(layout.spec, id=UUID(int=1), **one)
-    [row] = reading(written(layout, [StoredTrial(trial, 2, 1.0)], tmp_path / f"a.{kind}"), layout).rows
+    [row] = trial_source(written(layout, [StoredTrial(trial, 2, 1.0)], tmp_path / f"a.{kind}"), layout).rows
     assert (row.trial.worker, row.trial.model_version) == (worker, 2**53 + 1)
     assert row.trial.digest() == trial.digest()

@@ -17,7 +17,7 @@ import pyarrow.csv
 import pyarrow.parquet
 import pytest
 
-from crkr.client.trial_files import FileRow, Layout, reading
+from crkr.client.trial_files import FileRow, Layout, trial_source
 from crkr.protocol import Invalid, TaskSpec
 
 Write = Callable[[dict[str, Any]], Path]
@@ -92,7 +92,7 @@ def write(request: pytest.FixtureRequest) -> Write:
 
 
 def rows(path: Path, layout: Layout) -> list[FileRow]:
-    source = reading(path, layout)
+    source = trial_source(path, layout)
     found = list(source.rows)
     assert len(found) == source.count
     return found

@@ -13,6 +13,8 @@ import zenoh
 from zenoh_wire import changed_on_the_way
 
 from crkr.client import Client
+from crkr.client.network.config import Connection
+from crkr.client.network.zenoh_transport import ZenohTransport
 from crkr.protocol import pack, task_key
 from crkr.server.metrics.latency import Latencies
 from crkr.server.queries.intake import Intake
@@ -248,14 +250,15 @@ def test_subscribers_whose_connections_an_overlong_publication_broke_are_answere
     server: Any, reach: dict[str, Any], plain: Callable[[str], zenoh.Session], processes: Any
 ) -> None:
     change = overlong(f"{ROOT}/task/reach/pub/{'k' * 40_000}".encode(), b"s" * 26_000)
+    transport = ZenohTransport(Connection.choose(server.endpoint, None))
     with (
         Client(server.endpoint, timeout_s=PATIENCE_S) as client,
-        Client(server.endpoint, timeout_s=PATIENCE_S) as listening,
+        Client(transport=transport, timeout_s=PATIENCE_S) as listening,
         changed_on_the_way(server.port, change) as endpoint,
     ):
         task = client.create_task(reach)
         task.report(state=[0.5, 0.5], goal=[0.0] * 3, cost=0.5, success=True, wait=True)
-        session = listening._rpc.transport.connect(PATIENCE_S + time.monotonic())
+        session = transport.connect(PATIENCE_S + time.monotonic())
         subscriber = session.declare_subscriber(f"{ROOT}/task/reach/pub/*", zenoh.handlers.FifoChannel(100))
         assert listening.task("reach").predict([0.5, 0.5]).active == 1
         with task.announce("ada"):

@@ -1,4 +1,4 @@
-"""What commands print: results on standard output, all else on standard error, plain lines without a terminal."""
+"""Output of commands: results on standard output, all else on standard error; plain lines without a terminal."""
 
 from __future__ import annotations
 
@@ -27,21 +27,21 @@ LEVELS: Final = ("debug", "info", "warning", "error")
 
 @final
 class PlainConsole(Console):
-    """Prints text from users and servers as it is: no markup, no highlighting, no wrapping of plain lines.
+    """Prints text from users and servers literally: no markup, no highlighting, no wrapping of plain lines.
 
-    Only what would act on a terminal is written out. A reader of standard output who leaves ends the process; standard
-    error that cannot be written is done without.
+    Control characters are shown as escapes. The process ends when the reader of standard output closes it; errors of
+    writing to standard error are ignored.
     """
 
     def __init__(self, *, stderr: bool = False) -> None:
         super().__init__(soft_wrap=True, markup=False, highlight=False, emoji=False, stderr=stderr)
 
     def render_str(self, text: str, **options: Any) -> Text:
-        """A string as one line, before its width is measured."""
+        """A string as one line with control characters escaped, before its width is measured."""
         return super().render_str(printable(text), **options)
 
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
-        """Whatever else is printed, such as `Text` of a table or a bar."""
+        """Escapes control characters in everything else, such as `Text` of a table or a bar."""
         for segment in super().render(renderable, options):
             if segment.control or segment.text.isprintable():
                 yield segment
@@ -49,7 +49,7 @@ class PlainConsole(Console):
                 yield Segment(printable(segment.text, keep="\n"), segment.style)
 
     def on_broken_pipe(self) -> None:
-        """Called where the reader has left."""
+        """Called by rich when the reader has closed the stream."""
         self.quiet = True
         if not self.stderr:
             discard_output()
@@ -69,7 +69,7 @@ stderr: Final = PlainConsole(stderr=True)
 
 
 def json_data(value: Any) -> Any:
-    """Plain data for JSON: arrays as lists, ids as text, bytes as hexadecimal, what is not finite as null."""
+    """Plain data for JSON: arrays as lists, ids as text, bytes as hexadecimal, infinite numbers and NaN as null."""
     if isinstance(value, Mapping):
         return {str(key): json_data(entry) for key, entry in value.items()}
     if hasattr(value, "tolist"):  # numpy, without importing it for commands that need none
@@ -86,7 +86,7 @@ def json_data(value: Any) -> Any:
 
 
 def tidy(value: Any) -> str:
-    """A value as people read it: yes and no, 4 significant digits, no brackets."""
+    """A value for people: yes and no, 4 significant digits, no brackets."""
     value = json_data(value)
     if value is None:
         return "none"
@@ -103,7 +103,7 @@ def print_json(value: Any) -> None:
 
 
 def print_table(columns: Sequence[str], rows: Iterable[Sequence[object]], title: str | None = None) -> None:
-    """Prints a table, whose cells take more lines on a narrow terminal; aligned plain lines where nobody watches."""
+    """Prints a table that wraps cells on a narrow terminal; aligned plain lines without a terminal."""
     columns = [printable(column) for column in columns]
     cells = [[printable(str(cell)) for cell in row] for row in rows]
     if stdout.is_terminal:
@@ -120,7 +120,7 @@ def print_table(columns: Sequence[str], rows: Iterable[Sequence[object]], title:
 
 
 def configure_logging(level: str) -> None:
-    """Sends log records from `level` on to standard error; for commands that run long.
+    """Sends log records from `level` on to standard error, for commands that run long.
 
     Raises:
         typer.BadParameter: No such level.

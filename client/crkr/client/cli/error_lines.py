@@ -1,4 +1,4 @@
-"""Every error a command may expect becomes one line on standard error and an exit status."""
+"""Expected errors of a command become one line on standard error and an exit status."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from crkr.protocol import CrkrError, printable
 
 __all__ = ["guarded", "reason_missing", "require"]
 
-# Import name of an extra's package -> extras that bring it, the first unless the command's own is among them.
+# Import name -> extras that install it; the command's own extra is preferred, else the first.
 _EXTRAS: Final = {
     "PIL": ("sim",),
     "av": ("film",),
@@ -41,7 +41,7 @@ _EXTRA_OF_PART: Final = {
 
 
 def guarded(function: Callable[..., object], command: str, module: str) -> Callable[..., object]:
-    """The command with its expected failures as exit status 1 (130 when interrupted); defects keep their traceback."""
+    """Wraps a command: expected errors exit with status 1 (130 when interrupted); defects keep their traceback."""
 
     @functools.wraps(function)
     def run(*args: object, **kwargs: object) -> object:
@@ -53,7 +53,7 @@ def guarded(function: Callable[..., object], command: str, module: str) -> Calla
             if (error.name or "").split(".")[0] not in _EXTRAS:
                 raise
             raise _failed(reason_missing(error, command, module)) from error
-        except BrokenPipeError as error:  # whatever read the output has enough of it
+        except BrokenPipeError as error:  # the reader closed the output
             discard_output()
             raise typer.Exit(READER_GONE) from error
         except OSError as error:
@@ -67,7 +67,7 @@ def guarded(function: Callable[..., object], command: str, module: str) -> Calla
 
 
 def require(*packages: str) -> None:
-    """Looks for what a child process is about to import, so that the command says what is missing, not the child.
+    """Checks for packages that a child process will import, so that the command names the missing one.
 
     Raises:
         ModuleNotFoundError: For the first package that is not installed.
@@ -89,6 +89,6 @@ def reason_missing(error: Exception, command: str, module: str) -> str:
 
 
 def _failed(message: str) -> typer.Exit:
-    with suppress(OSError):  # nobody is there to read it
+    with suppress(OSError):  # standard error may be closed
         typer.echo(f"error: {printable(message)}", err=True)
     return typer.Exit(1)

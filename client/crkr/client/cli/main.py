@@ -1,4 +1,4 @@
-"""The entry of the `crkr` command: sets the process up, then hands over."""
+"""The entry point of the `crkr` command."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from typing import Final
 
 __all__ = ["main"]
 
-# Small matrices on few cores: BLAS threads cost more than they give, and workers beside each other would fight.
-# They are read when numpy is imported, so this comes before any other import of crkr.
+# BLAS threads do not pay for small matrices, and those of several workers compete for the cores.
+# The variables are read when numpy is imported, so they are set before any other import of crkr.
 _THREADS: Final = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -22,7 +22,7 @@ def main() -> None:
     for name in _THREADS:
         if not _is_count(os.environ.get(name, "")):
             os.environ[name] = "1"
-    sys.excepthook = _tell_defect  # before Typer looks for it
+    sys.excepthook = _tell_defect  # before Typer reads it
     threading.excepthook = _tell_defect_of_a_thread
     from crkr.client.cli.standard_streams import READER_GONE, discard_output, flushed, open_streams
     from crkr.client.cli.subcommands import build
@@ -40,12 +40,12 @@ def main() -> None:
         discard_output()
         status = 1
     status = flushed(status)
-    _leave_strangers_behind(status)
+    _exit_despite_threads(status)
     sys.exit(status)
 
 
 def _tell_defect(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
-    """A traceback may quote what others sent."""
+    """Prints a traceback with control characters escaped, since it may quote what others sent."""
     from crkr.protocol import printable
 
     sys.stderr.write(printable("".join(format_exception(kind, error, trace)), keep="\n"))
@@ -58,12 +58,12 @@ def _tell_defect_of_a_thread(ended: threading.ExceptHookArgs) -> None:
 
 
 def _is_count(value: str) -> bool:
-    """Whether a variable says how many threads, or how many at each level: OpenMP complains of all else."""
+    """Whether a variable is a thread count, or one per level; OpenMP complains about anything else."""
     return all(part.strip().isdecimal() and int(part) > 0 for part in value.split(","))
 
 
-def _leave_strangers_behind(status: int) -> None:
-    """Ends the process where a thread of a user's skill would keep it for ever: ours are daemons, or have ended."""
+def _exit_despite_threads(status: int) -> None:
+    """Ends the process if a thread of a user's skill would keep it running; our threads are daemons or have ended."""
     if all(thread.daemon for thread in threading.enumerate() if thread is not threading.main_thread()):
         return
     for stream in (sys.stdout, sys.stderr):

@@ -1,4 +1,4 @@
-"""Files that a command is told to write: none is replaced unasked, and a failed run leaves it as it was."""
+"""Files that a command reads or writes: none is replaced without --overwrite, and a failed run changes none."""
 
 from __future__ import annotations
 
@@ -10,23 +10,28 @@ from uuid import uuid4
 
 from crkr.protocol import Invalid
 
-__all__ = ["beside", "check_output", "output_file"]
+__all__ = ["beside", "check_input", "check_output", "output_file"]
+
+
+def check_input(path: Path) -> None:
+    """Raises `Invalid` for a pipe, a device or a folder, whose content might never end."""
+    if path.exists() and not path.is_file():
+        raise Invalid(f"{path} is not an ordinary file; choose another file")
 
 
 def check_output(path: Path, *, overwrite: bool) -> None:
-    """Looks before the work whether a file can be written, and whether it may.
+    """Checks, before the work is done, whether a file can and may be written.
 
     Args:
         path: The file.
-        overwrite: Whether one that is there may be replaced.
+        overwrite: Whether an existing file may be replaced.
 
     Raises:
-        Invalid: There is such a file and nobody said `--overwrite`, it is no ordinary file, there is no such folder, or
-            this process may not write there.
+        Invalid: The file exists and may not be replaced, it is not an ordinary file, its folder does not exist, or this
+            process may not write there.
     """
     target = _target(path)
-    if target.exists() and not target.is_file():
-        raise Invalid(f"{path} is not an ordinary file; choose another file")
+    check_input(path)
     if os.path.lexists(path) and not overwrite:
         raise Invalid(f"{path} exists; choose another file, or --overwrite")
     folder = target.parent
@@ -43,16 +48,31 @@ def beside(path: Path) -> Path:
 
 
 @contextmanager
-def output_file(path: Path) -> Iterator[Path]:
-    """Gives a name to write to; what was written appears under `path` when it is whole, and is removed if it is not."""
+def output_file(path: Path, *, overwrite: bool = True) -> Iterator[Path]:
+    """Gives a temporary name to write to, and renames that file to `path` when the block ends without an error.
+
+    Args:
+        path: The file.
+        overwrite: Whether a file of that name may be replaced, also one that appears while the block runs.
+
+    Raises:
+        Invalid: As `check_output`, before and after the block.
+        OSError: The file cannot be written; the error names `path`.
+    """
+    check_output(path, overwrite=overwrite)
     partial = beside(path)
     try:
         yield partial
+        check_output(path, overwrite=overwrite)
         partial.replace(_target(path))
+    except OSError as error:
+        if error.filename == str(partial):
+            error.filename = str(path)
+        raise
     finally:
         partial.unlink(missing_ok=True)
 
 
 def _target(path: Path) -> Path:
-    """The file that a link leads to: the link stays."""
+    """The target of a symbolic link, so that the link stays."""
     return Path(os.path.realpath(path))

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from typing import Final, final
 
 from rich.console import Console, Group, RenderableType
@@ -13,10 +11,9 @@ from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
 from rich.progress import Progress as Bar
 from rich.text import Text
 
-from crkr.client.cli.console import stderr
 from crkr.protocol import printable
 
-__all__ = ["Progress", "counting"]
+__all__ = ["Progress"]
 
 EVERY_S: Final = 3.0
 
@@ -88,10 +85,3 @@ class Progress:
 
     def _render(self) -> RenderableType:
         return Group(self._bar.get_renderable(), self._text)
-
-
-@contextmanager
-def counting(title: str, total: int, every_s: float = EVERY_S) -> Iterator[Callable[[int], None]]:
-    """Yields a function that shows on standard error how many of `total` are done."""
-    with Progress(stderr, title, total, "", every_s) as progress:
-        yield progress.show

@@ -1,4 +1,7 @@
-"""Standard input, output and error, which a caller may have closed, or whose reader may leave."""
+"""Standard streams that the caller may have closed, or whose reader may close them.
+
+Separate from `console`, because `main` uses it before rich is imported.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,7 @@ READER_GONE: Final = 141  # exit status of a process that SIGPIPE ends
 
 
 def open_streams() -> None:
-    """Opens what is closed, to nowhere: else the next file or socket would take its place, and get what is printed."""
+    """Opens closed streams to nowhere; otherwise the next file or socket would take their number and get the output."""
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:
             stream = open(os.devnull, mode, encoding="utf-8")  # noqa: SIM115  # stays open to the end
@@ -22,11 +25,11 @@ def open_streams() -> None:
             setattr(sys, name, stream)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")  # a name that the locale lacks must not end a command
+            stream.reconfigure(errors="backslashreplace")  # characters that the locale lacks must not end a command
 
 
 def discard_output() -> None:
-    """Lets go of standard output, so that the interpreter's end does not stumble over what is still to be written."""
+    """Redirects standard output to nowhere, so that flushing it at exit does not fail."""
     with suppress(OSError, ValueError):
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, sys.stdout.fileno())
@@ -34,7 +37,7 @@ def discard_output() -> None:
 
 
 def flushed(status: int) -> int:
-    """The exit status of a command that wants to end with `status`, once its output is written, or cannot be."""
+    """Flushes standard output; returns `status`, or another exit status where the output cannot be written."""
     try:
         sys.stdout.flush()
     except BrokenPipeError:

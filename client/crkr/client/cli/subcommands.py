@@ -1,4 +1,4 @@
-"""The frame of `crkr`: finds the parts' subcommands by entry point and loads only the one that is asked for."""
+"""The `crkr` application: finds subcommands by entry point and loads only the one that is called."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ Start with `crkr demo`, or with `crkr server` and `crkr create`.
 
 
 def build(arguments: list[str]) -> typer.Typer:
-    """The application with the one command that the arguments name, or with all of them for help and mistakes."""
+    """The application with the command that the arguments name, or with all commands for help and mistakes."""
     available = {entry.name: entry for entry in entry_points(group=GROUP)}
     app = _application(_HELP)
     app.callback()(_options)
@@ -82,7 +82,7 @@ def _panel(name: str) -> str:
 
 
 def _register(app: typer.Typer, name: str, entry: EntryPoint, panel: str | None) -> None:
-    """Adds the command, guarded; where it cannot be imported, one that takes anything and says why."""
+    """Adds the command; where it cannot be imported, adds one that takes any arguments and says why."""
     command, module = entry.name.replace(".", " "), entry.value.split(":")[0]
     try:
         app.command(name, rich_help_panel=panel)(guarded(entry.load(), command, module))

@@ -11,14 +11,13 @@ import typer
 
 from crkr.client import Client
 from crkr.client.cli.console import json_data, print_json, stderr, stdout, tidy
-from crkr.client.cli.options import Connect, Json, Timeout, ZenohConfig
-from crkr.client.cli.vectors import parse_ids
+from crkr.client.cli.options import Connect, Json, Timeout, ZenohConfig, parse_ids
 from crkr.protocol import Invalid
 
 __all__ = ["archive", "configure", "recost", "refit", "remove"]
 
 _Task = Annotated[str, typer.Argument(help="Name of the task.")]
-_Reason = Annotated[str, typer.Option("--reason", help="Why; it is kept in the log.")]
+_Reason = Annotated[str, typer.Option("--reason", help="Reason, kept in the log.")]
 
 
 def recost(
@@ -46,14 +45,14 @@ def recost(
 
 def remove(
     task: _Task,
-    ids: Annotated[list[str], typer.Argument(metavar="ID...", help="Trials to take out of learning.")],
+    ids: Annotated[list[str], typer.Argument(metavar="ID...", help="Ids of the trials to remove from the model.")],
     reason: _Reason = "",
     connect: Connect = None,
     timeout: Timeout = 10.0,
     zenoh_config: ZenohConfig = None,
     as_json: Json = False,
 ) -> None:
-    """Take trials out of learning; they stay in the log, marked.
+    """Remove trials from the model; the log keeps them, marked.
 
     Example: crkr remove throw 2f1c6a1e-6c1f-4b52-9f0e-0d6a3c5b7e11 --reason "hand slipped"
     """
@@ -103,13 +102,13 @@ def configure(
 
 def archive(
     task: _Task,
-    yes: Annotated[bool, typer.Option("--yes", help="Do not ask.")] = False,
+    yes: Annotated[bool, typer.Option("--yes", help="Do not ask for confirmation.")] = False,
     connect: Connect = None,
     timeout: Timeout = 10.0,
     zenoh_config: ZenohConfig = None,
     as_json: Json = False,
 ) -> None:
-    """End learning of a task for good; it still answers, and its data stays.
+    """End the learning of a task for good; it still answers and keeps its data.
 
     Example: crkr archive throw --yes
     """
@@ -145,13 +144,13 @@ def _confirm(task: str) -> None:
         if sys.stdin.isatty():
             raise
         stderr.print()  # ends the question's line
-        raise Invalid(f"nobody answered; to archive without a question: crkr archive {task} --yes") from error
+        raise Invalid(f"no answer; to archive without a question: crkr archive {task} --yes") from error
     if not agreed:
         raise typer.Abort
 
 
 def _changed(before: Mapping[str, Any], after: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
-    """A line for every setting that differs; settings in a map get dotted names."""
+    """One line for each changed setting; settings in a map get dotted names."""
     for name, value in after.items():
         old = before.get(name)
         if isinstance(value, Mapping) and isinstance(old, Mapping):
@@ -161,7 +160,7 @@ def _changed(before: Mapping[str, Any], after: Mapping[str, Any], prefix: str = 
 
 
 def _fitted(answer: Mapping[str, Any]) -> Iterator[str]:
-    """A line for every number of the kernel that a fit made another than the specification's."""
+    """One line for each fitted number of the kernel that differs from the specification."""
     spec, force = answer["spec"], answer.get("hyperparameters", {})
     given = {
         "lengthscales": [axis["lengthscale"] for axis in spec["state"]],

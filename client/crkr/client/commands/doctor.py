@@ -19,10 +19,10 @@ from crkr.client import Client
 from crkr.client.cli.console import print_json, print_table
 from crkr.client.cli.options import Connect, Json, Timeout, ZenohConfig
 from crkr.client.commands.status import ended_threads, named_tasks, thread_faults
-from crkr.client.network.access_rights import allowed, others
 from crkr.client.network.config import Connection
-from crkr.client.network.diagnosis import ANYBODY, NO_SERVER, obstacle
+from crkr.client.network.diagnosis import ANYBODY, NO_SERVER, access_rights, impostors, obstacle
 from crkr.client.network.tls_handshake import certificate_end
+from crkr.client.network.zenoh_transport import ZenohTransport
 from crkr.client.outbox.outbox_file import OutboxFile
 from crkr.protocol import PROTOCOL_VERSION, CrkrError, Invalid, Unavailable
 
@@ -37,10 +37,10 @@ _Check = tuple[str, bool, str]
 
 def doctor(
     data: Annotated[
-        Path | None, typer.Option("--data", metavar="DIR", help="Also look at the disk under a data directory.")
+        Path | None, typer.Option("--data", metavar="DIR", help="Also check the disk of a data directory.")
     ] = None,
     outbox: Annotated[
-        Path | None, typer.Option("--outbox", metavar="FILE", help="Also look into an outbox that no program has open.")
+        Path | None, typer.Option("--outbox", metavar="FILE", help="Also check an outbox that no program has open.")
     ] = None,
     connect: Connect = None,
     timeout: Timeout = 5.0,
@@ -73,30 +73,31 @@ def _versions() -> _Check:
 
 def _server(connect: str | None, timeout_s: float, zenoh_config: Path | None) -> list[_Check]:
     try:
-        with Client(connect, timeout_s=timeout_s, zenoh_config=zenoh_config) as client:
-            return [("endpoint", True, client.endpoint), *_conversation(client, zenoh_config)]
+        transport = ZenohTransport(Connection.choose(connect, zenoh_config))
+        with Client(transport=transport, timeout_s=timeout_s) as client:
+            return [("endpoint", True, client.endpoint), *_conversation(client, transport)]
     except Invalid as error:
         return [("endpoint", False, error.message)]
 
 
-def _conversation(client: Client, zenoh_config: Path | None) -> list[_Check]:
-    connection = Connection(client.endpoint, zenoh_config)
+def _conversation(client: Client, transport: ZenohTransport) -> list[_Check]:
+    connection = transport.session.connection
     try:
         info = client.info()
-        trips = [_seconds(lambda: client._rpc.server_id(client._rpc.timeout_s)) for _ in range(_ROUND_TRIPS)]
+        trips = [_seconds(client.server_id) for _ in range(_ROUND_TRIPS)]
     except CrkrError as error:
         return [("reachable", False, _trouble(error, connection))]
     return [
         ("reachable", True, f"server {info.get('version')}, id {info.get('server_id')}"),
         *_certificate(connection),
         *_answers(info, trips),
-        *_access(client, info),
-        *_strangers(client, info),
+        *_access(transport, info),
+        *_impostors(transport, info),
     ]
 
 
 def _trouble(error: CrkrError, connection: Connection) -> str:
-    """All that is known of a silence, which the other commands send their readers here for."""
+    """Everything known about why the server does not answer; other commands refer to this one."""
     tried = error.details
     if not isinstance(error, Unavailable) or "reason" not in tried:
         return error.message
@@ -127,12 +128,12 @@ def _certificate(connection: Connection) -> list[_Check]:
     return [("certificate", not advice, f"the server's is valid until {end:%Y-%m-%d}{advice}")]
 
 
-def _strangers(client: Client, info: dict[str, Any]) -> list[_Check]:
-    """Others that answer for the server: they are not believed, and still somebody should look."""
-    session = client._rpc.transport.session.peek()
+def _impostors(transport: ZenohTransport, info: dict[str, Any]) -> list[_Check]:
+    """Other clients that answer in the server's place; their answers are ignored."""
+    session = transport.session.peek()
     if info.get("protocol") != PROTOCOL_VERSION or session is None or not session.info.routers_zid():
         return []
-    found = others(session, [*info.get("tasks", []), "none"][0])
+    found = impostors(session, [*info.get("tasks", []), "none"][0])
     if not found:
         return []
     who = ", ".join(sorted(found))
@@ -141,11 +142,11 @@ def _strangers(client: Client, info: dict[str, Any]) -> list[_Check]:
     ]
 
 
-def _access(client: Client, info: dict[str, Any]) -> list[_Check]:
-    session = client._rpc.transport.session.peek()
+def _access(transport: ZenohTransport, info: dict[str, Any]) -> list[_Check]:
+    session = transport.session.peek()
     if info.get("protocol") != PROTOCOL_VERSION or session is None:
         return []
-    answers = allowed(session, [*info.get("tasks", []), "none"][0])
+    answers = access_rights(session, [*info.get("tasks", []), "none"][0])
 
     def those(outcome: bool | None) -> str:
         return ", ".join(work for work, answered in answers.items() if answered is outcome)

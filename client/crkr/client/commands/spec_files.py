@@ -1,4 +1,4 @@
-"""A task's specification as a file that people edit: TOML or JSON to read, JSON to write."""
+"""Specification files: TOML or JSON to read, JSON to write."""
 
 from __future__ import annotations
 
@@ -12,12 +12,13 @@ from pathlib import Path
 from typing import Any, Final
 
 from crkr.client.cli.error_lines import reason_missing
+from crkr.client.cli.output_file import check_input
 from crkr.protocol import Invalid, StorageError, TaskSpec, Unsupported
 
 __all__ = ["STANDARD_OUTPUT", "read_spec", "skill_spec", "write_spec"]
 
 GROUP: Final = "crkr.specifications"
-"""Entry points of what knows a skill's specification; `skill` is called with its name and its options."""
+"""Entry points that make a skill's specification; `skill` is called with the skill's name and options."""
 
 STANDARD_OUTPUT: Final = Path("-")
 _LARGEST: Final = 2**19  # bytes of a file; a specification with 256 coordinates everywhere has a fifth of it
@@ -34,8 +35,7 @@ def read_spec(path: Path) -> TaskSpec:
         StorageError: It cannot be read.
     """
     is_json = path.suffix == ".json"
-    if path.exists() and not path.is_file():
-        raise Invalid(f"{path} is no regular file; write the specification to one")
+    check_input(path)
     try:
         with path.open("rb") as file:
             data = file.read(_LARGEST + 1)
@@ -44,7 +44,7 @@ def read_spec(path: Path) -> TaskSpec:
     if len(data) > _LARGEST:
         raise Invalid(f"{path} has more than {_LARGEST} bytes, which no specification has")
     try:
-        text = data.decode("utf-8-sig")  # as both formats are by definition, whatever the locale says
+        text = data.decode("utf-8-sig")  # both formats are UTF-8 by definition, in any locale
         if not is_json and _has_endless_key(text):
             raise Invalid(f"a key has more than {_MOST_DOTS} parts")
         return TaskSpec.from_dict(json.loads(text) if is_json else tomllib.loads(text), strict=True)
@@ -52,7 +52,7 @@ def read_spec(path: Path) -> TaskSpec:
         raise Invalid(f"{path}: {error.message[:_LONGEST_MESSAGE]}", details=error.details) from error
     except RecursionError as error:
         raise Invalid(f"{path} is nested too deep for a specification") from error
-    except ValueError as error:  # also of numbers with thousands of digits
+    except ValueError as error:  # includes numbers with thousands of digits
         raise Invalid(f"{path} is not {'JSON' if is_json else 'TOML'}: {error}") from error
 
 
@@ -67,14 +67,14 @@ def _has_endless_key(toml: str) -> bool:
 
 
 def skill_spec(skill: str, /, **options: Any) -> TaskSpec:
-    """Asks a skill for its specification.
+    """Makes a skill's specification.
 
     Args:
         skill: An installed skill's name, or "package.module:factory".
-        options: How it is to be set up: environment, launcher, preset, name, seed.
+        options: Its options: environment, launcher, preset, name, seed.
 
     Raises:
-        Invalid: No such skill, or an option that it does not know.
+        Invalid: No such skill, or an unknown option.
         Unsupported: A library that the skill needs is not installed.
     """
     found = list(entry_points(group=GROUP, name="skill"))
@@ -88,10 +88,10 @@ def skill_spec(skill: str, /, **options: Any) -> TaskSpec:
 
 
 def write_spec(spec: TaskSpec, path: Path) -> None:
-    """Writes a specification with every default filled in, an axis a line; "-" is standard output.
+    """Writes a specification with all defaults, one axis a line; "-" is standard output.
 
     Raises:
-        Invalid: The file is there already, or is not named .json.
+        Invalid: The file exists, or is not named .json.
     """
     text = "{\n" + ",\n".join(_fields(spec)) + "\n}\n"
     if path == STANDARD_OUTPUT:

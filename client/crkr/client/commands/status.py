@@ -19,16 +19,17 @@ _MOST_NAMED = 20  # tasks
 
 
 def status(
-    task: Annotated[str | None, typer.Argument(help="Name of a task; the whole server unless given.")] = None,
+    task: Annotated[str | None, typer.Argument(help="Name of a task; without it, the whole server.")] = None,
     check: Annotated[
-        bool, typer.Option("--check", help="Print nothing; exit 0 if it answers and all its threads run, 1 if not.")
+        bool,
+        typer.Option("--check", help="Print nothing; exit 0 if the server answers and all its threads run, else 1."),
     ] = False,
     connect: Connect = None,
     timeout: Timeout = 5.0,
     zenoh_config: ZenohConfig = None,
     as_json: Json = False,
 ) -> None:
-    """Show what the server, or one task, is doing.
+    """Show the state of the server or of one task.
 
     Example: crkr status table-tennis        For health probes: crkr status --check --timeout 2
     """
@@ -64,7 +65,7 @@ def _show_server(info: Mapping[str, Any]) -> None:
 
 
 def named_tasks(info: Mapping[str, Any]) -> str:
-    """The tasks that an `info` tells of, in a line; where there are many, the first of them and how many more."""
+    """The tasks of an `info` in one line: the first names, and how many more there are."""
     names = info.get("tasks", [])
     more = info.get("task_count", len(names)) - _MOST_NAMED
     listed = ", ".join(names[:_MOST_NAMED]) or "none yet"
@@ -84,14 +85,14 @@ def _show_task(answer: Mapping[str, Any]) -> None:
 
 
 def ended_threads(answer: Mapping[str, Any]) -> list[str]:
-    """Threads that the server needs and lost, as `info` and `status` tell them."""
+    """Threads of the server that ended, from an answer to `info` or `status`."""
     threads = answer.get("threads")
     ended = threads.get("ended") if isinstance(threads, Mapping) else None
     return [str(name) for name in ended] if isinstance(ended, list) else []
 
 
 def thread_faults(answer: Mapping[str, Any]) -> str:
-    """What the server's threads survived, in words; "" where nothing went wrong."""
+    """Errors that the server's threads survived, in words; "" if there are none."""
     threads = answer.get("threads")
     faults = threads.get("faults") if isinstance(threads, Mapping) else None
     listed = faults.items() if isinstance(faults, Mapping) else ()
@@ -104,7 +105,7 @@ def _threads(answer: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 def _show_verbs(latency: Mapping[str, Any], queues: Mapping[str, Any]) -> None:
-    """What was asked for since the start, how long it took inside the server, and what waits."""
+    """Calls since the start, their time inside the server, and the queues."""
     rows = [
         (verb, times.get("count", ""), _text(times.get("p50")), _text(times.get("p99")), _waiting(queues, verb))
         for verb, times in latency.items()
@@ -138,7 +139,7 @@ def _show_workers(workers: Sequence[Mapping[str, Any]], more: int) -> None:
 
 
 def _since(moment: float | None) -> float | None:
-    """By this machine's time of day: for a server that tells no ages."""
+    """Age by this machine's clock, for an older server that sends times of day."""
     return None if moment is None else time.time() - float(moment)
 
 
@@ -147,7 +148,7 @@ def _age(seconds: float | None) -> str:
 
 
 def _rows(name: str, value: Any) -> list[tuple[str, str]]:
-    """A line a value; nested maps get dotted names."""
+    """One line for each value; nested maps get dotted names."""
     if isinstance(value, Mapping):
         return [row for key, entry in value.items() for row in _rows(f"{name}.{key}", entry)]
     return [(name, _text(value))]

@@ -20,49 +20,53 @@ _OF_A_SKILL = "Of a skill"
 
 def create(
     spec: Annotated[
-        Path | None, typer.Argument(exists=True, dir_okay=False, metavar="SPEC.toml", help="What to learn; or .json.")
+        Path | None,
+        typer.Argument(exists=True, dir_okay=False, metavar="SPEC.toml", help="Specification file, .toml or .json."),
     ] = None,
     skill: Annotated[
         str | None,
         typer.Option(help="An installed skill, or your own as package.module:factory.", rich_help_panel=_OF_A_SKILL),
     ] = None,
     preset: Annotated[
-        str | None, typer.Option(help="Which of the skill's, e.g. tuned.", rich_help_panel=_OF_A_SKILL)
+        str | None, typer.Option(help="Preset of the skill, e.g. tuned.", rich_help_panel=_OF_A_SKILL)
     ] = None,
     launcher: Annotated[
         str | None, typer.Option(help="Where contexts come from, e.g. nominal.", rich_help_panel=_OF_A_SKILL)
     ] = None,
     environment: Annotated[
-        str | None, typer.Option(help="Which simulator, e.g. contact.", rich_help_panel=_OF_A_SKILL)
+        str | None, typer.Option(help="Simulator, e.g. contact.", rich_help_panel=_OF_A_SKILL)
     ] = None,
     task: Annotated[
         str | None, typer.Option(help="Name of the task; the skill's own unless given.", rich_help_panel=_OF_A_SKILL)
     ] = None,
     seed: Annotated[
-        int | None, typer.Option(min=0, max=2**31 - 1, help="Of exploration; 0.", rich_help_panel=_OF_A_SKILL)
+        int | None,
+        typer.Option(min=0, max=2**31 - 1, help="Seed of exploration; 0 unless given.", rich_help_panel=_OF_A_SKILL),
     ] = None,
     write: Annotated[
         Path | None,
-        typer.Option(metavar="FILE.json", help="Only write the specification, to edit it; - prints. Needs no server."),
+        typer.Option(
+            metavar="FILE.json", help="Only write the specification, for editing; - prints it. Needs no server."
+        ),
     ] = None,
     connect: Connect = None,
     timeout: Timeout = 5.0,
     zenoh_config: ZenohConfig = None,
     as_json: Json = False,
 ) -> None:
-    """Make a task, from a specification file or a skill; the same again changes nothing.
+    """Create a task from a specification file or a skill; repeating it changes nothing.
 
     Example: crkr create examples/throw.toml
 
-    That file shows the least that one needs: name, unit, low and high of every coordinate of state and goal.
-    A skill's, to look at or to edit: crkr create --skill table-tennis --preset tuned --write spec.json
+    That file has the minimum: name, unit, low and high of every coordinate of state and goal.
+    To edit a skill's specification: crkr create --skill table-tennis --preset tuned --write spec.json
     """
     options = {"environment": environment, "launcher": launcher, "preset": preset, "name": task, "seed": seed}
     given = {name: value for name, value in options.items() if value is not None}
     if (spec is None) == (skill is None):
         raise typer.BadParameter("give a specification file or --skill, one of them")
     if spec is not None and given:
-        raise typer.BadParameter("a file says all; the options of a skill are for --skill")
+        raise typer.BadParameter("a file is complete; these options go with --skill")
     checked = read_spec(spec) if spec is not None else skill_spec(str(skill), **given)
     if write is not None:
         write_spec(checked, write)

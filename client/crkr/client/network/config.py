@@ -1,4 +1,4 @@
-"""Where the server is and how Zenoh is set up to reach it: explicit endpoints, nothing discovered, nothing shared."""
+"""The server's endpoint and Zenoh's configuration: explicit endpoints, no discovery, no shared memory."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ __all__ = ["DEFAULT_ENDPOINT", "Connection"]
 
 DEFAULT_ENDPOINT: Final = EXAMPLE
 _VARIABLE: Final = "CRKR_CONNECT"
-_LEASE_MS: Final = 2000  # a silent partition is noticed after this; Zenoh's own default is 10 s
+_LEASE_MS: Final = 2000  # a broken link is noticed after this; Zenoh's default is 10 s
 _ZENOH_LEASE_MS: Final = 10_000
-# Bus discovery would find other people's servers; shared memory leaks segments when processes are killed.
+# Discovery would find other people's servers; shared memory leaks segments when processes are killed.
 _FIXED: Final[dict[str, Any]] = {
     "mode": "client",
     "scouting/multicast/enabled": False,
@@ -37,7 +37,7 @@ class Connection:
 
     Attributes:
         endpoint: Zenoh endpoint, e.g. "tcp/127.0.0.1:7447" or "tls/learner:7447".
-        zenoh_config: Zenoh configuration (JSON5) that the settings above are laid over; for certificates and passwords.
+        zenoh_config: Zenoh configuration (JSON5) with certificates or passwords; the settings above override it.
     """
 
     endpoint: str
@@ -52,7 +52,7 @@ class Connection:
         """
         variable = os.environ.get(_VARIABLE) or None
         chosen, named = endpoint or variable, "the endpoint"
-        if chosen == variable:  # also where a command took it from there
+        if chosen == variable:  # also where a command read the variable
             named = f"the endpoint in {_VARIABLE}"
         if chosen is None and zenoh_config is not None:
             chosen, named = _first_endpoint(_load(zenoh_config)), f"the endpoint in {zenoh_config}"
@@ -109,5 +109,5 @@ def _first_endpoint(config: zenoh.Config) -> str | None:
 
 
 def brief(error: Exception) -> str:
-    """Zenoh's message without the places in its source."""
+    """Zenoh's message without source file names."""
     return re.sub(r"\s+at /\S+|\s*\.?\s*$", "", str(error).split("\n")[0])

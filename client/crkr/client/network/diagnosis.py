@@ -1,12 +1,12 @@
-"""Why nobody answers at an endpoint: Zenoh says "Timeout" or nothing, whatever the reason is.
+"""Why no server answers at an endpoint, and what access control allows: Zenoh says "Timeout" or nothing.
 
-what is found                                by what
-the endpoint is none                         its text: protocol, host, port
-its host has no address                      a look-up
+finding                                      found by
+the endpoint is not valid                    its text: protocol, host, port
+its host has no address                      a name look-up
 nobody listens, or the host does not answer  a TCP connection
 TLS on one side only, or a certificate       a handshake, see `crkr.client.network.tls_handshake`
-something else than Zenoh listens            its first words
-a Zenoh router that is no crkr server        no token of a server there
+another program listens                      its first words
+a Zenoh router without a crkr server         no server's token
 """
 
 from __future__ import annotations
@@ -22,9 +22,21 @@ from typing import Final, final
 import zenoh
 
 from crkr.client.network.tls_handshake import connection_to, refusal
-from crkr.protocol import live_server_key
+from crkr.client.network.trust import EVERYONE, NotTheServer, Trust
+from crkr.protocol import encoding, live_server_key, pack, rpc_key, task_key
+from crkr.protocol.keys import admin_key
 
-__all__ = ["ANYBODY", "EXAMPLE", "NO_SERVER", "Obstacle", "fault_in", "obstacle", "silence_of"]
+__all__ = [
+    "ANYBODY",
+    "EXAMPLE",
+    "NO_SERVER",
+    "Obstacle",
+    "access_rights",
+    "fault_in",
+    "impostors",
+    "obstacle",
+    "silence_of",
+]
 
 EXAMPLE: Final = "tcp/127.0.0.1:7447"
 _WITH_PORT: Final = ("tcp", "udp", "tls", "quic", "quic_datagram", "ws")
@@ -32,6 +44,7 @@ _OTHERS: Final = ("serial", "unixpipe", "unixsock-stream", "vsock")
 _TALK: Final = b"GET / HTTP/1.0\r\n\r\n"  # to Zenoh the beginning of a long message, to a web server a question
 _TALK_S: Final = 0.2
 _TOKENS_S: Final = 0.5
+_ANSWER_S: Final = 2.0
 ANYBODY: Final = "connected, but nobody serves this key, or the server's access control denies it to this client"
 NO_SERVER: Final = (
     "connected, but to a Zenoh router where no crkr server shows: another router, as ROS 2's rmw_zenohd, which listens "
@@ -45,9 +58,9 @@ class Obstacle:
     """What stands in the way of a connection.
 
     Attributes:
-        what: In words, with what to do.
-        final: Trying again cannot help, as with certificates that do not fit.
-        absent: It is only that nobody listens.
+        what: In words, with advice.
+        final: Another attempt cannot help, as with certificates that do not match.
+        absent: No program listens there.
     """
 
     what: str
@@ -56,7 +69,7 @@ class Obstacle:
 
 
 def fault_in(endpoint: str) -> str | None:
-    """What is wrong with the text of an endpoint; None where nothing is."""
+    """What is wrong with the text of an endpoint, or None."""
     protocol, slash, address = endpoint.partition("/")
     if not slash or not address or re.search(r"\s", endpoint) or not re.fullmatch(r"[a-z0-9_-]+", protocol):
         return "it is not of the form protocol/address"
@@ -79,12 +92,12 @@ def fault_in(endpoint: str) -> str | None:
 
 
 def obstacle(endpoint: str, config: zenoh.Config, patience_s: float) -> Obstacle | None:
-    """Looks for what keeps a client from connecting; None where nothing is found.
+    """Finds what keeps a client from connecting, or None.
 
     Args:
-        endpoint: One in which nothing is wrong.
-        config: With the certificates.
-        patience_s: How long looking may take [s].
+        endpoint: An endpoint without a `fault_in` it.
+        config: Zenoh's, with the certificates.
+        patience_s: Longest time for this [s].
     """
     deadline = time.monotonic() + patience_s
     protocol, address = endpoint.split("/", 1)
@@ -93,7 +106,7 @@ def obstacle(endpoint: str, config: zenoh.Config, patience_s: float) -> Obstacle
     host, _, port = re.split(r"[?#]", address, maxsplit=1)[0].rpartition(":")
     host = host.strip("[]")
     try:
-        if protocol in ("udp", "quic", "quic_datagram"):  # nothing to connect to without speaking it
+        if protocol in ("udp", "quic", "quic_datagram"):  # there is no connection to test
             connection_to(host, int(port), deadline, socket.SOCK_DGRAM).close()
             return None
         connection_to(host, int(port), deadline).close()
@@ -116,7 +129,7 @@ def obstacle(endpoint: str, config: zenoh.Config, patience_s: float) -> Obstacle
 
 
 def silence_of(session: zenoh.Session, patience_s: float) -> str:
-    """Why a question is not even refused on a connection that works; looking takes `patience_s` at most."""
+    """Why a question is neither answered nor refused on a working connection; takes at most `patience_s`."""
     patience_s = min(_TOKENS_S, patience_s)
     with suppress(zenoh.ZError):
         tokens = session.liveliness().get(live_server_key("*"), zenoh.handlers.FifoChannel(4), timeout=patience_s)
@@ -127,7 +140,7 @@ def silence_of(session: zenoh.Session, patience_s: float) -> str:
 
 
 def _first_words(host: str, port: int, deadline: float) -> str | None:
-    """What speaks to everybody who connects; None for what waits as Zenoh does."""
+    """What kind of program speaks first; None for one that waits, as Zenoh does."""
     said = b""
     with suppress(OSError), connection_to(host, port, deadline) as connection:
         connection.settimeout(max(0.001, min(_TALK_S, deadline - time.monotonic())))
@@ -138,3 +151,54 @@ def _first_words(host: str, port: int, deadline: float) -> str | None:
     if said.startswith(b"SSH-"):
         return "an SSH server"
     return "something else" if said else None
+
+
+def access_rights(session: zenoh.Session, task: str) -> dict[str, bool | None]:
+    """Whether access control allows each kind of call; None: no answer in time.
+
+    Sends empty messages, which the server refuses as `Invalid` without storing anything: any answer means yes.
+    """
+    keys = {
+        "predict": task_key(task, "predict"),
+        "report": task_key(task, "report"),
+        "create tasks": rpc_key("create_task"),
+        "administer": admin_key(task, "recost"),
+    }
+    return {work: _is_answered(session, key) for work, key in keys.items()}
+
+
+def impostors(session: zenoh.Session, task: str) -> set[str]:
+    """Zenoh ids of other clients that answer questions to the server; waits for all answers.
+
+    Empty behind another router, where the server cannot be told from other clients.
+    """
+    trust, found, known = Trust(), set(), False
+    for key in (rpc_key("info"), task_key(task, "predict"), task_key(task, "report")):
+        for reply in _ask(session, key):
+            if trust.is_server(session, reply):
+                known = True
+            elif reply.replier_id is not None:
+                found.add(str(reply.replier_id.zid))
+    return found if known else set()
+
+
+def _ask(session: zenoh.Session, key: str) -> zenoh.handlers.Handler[zenoh.Reply]:
+    return session.get(
+        key,
+        zenoh.handlers.FifoChannel(4),
+        payload=pack({}),
+        encoding=encoding(key.rpartition("/")[2]),
+        consolidation=zenoh.ConsolidationMode.NONE,
+        target=EVERYONE,
+        timeout=_ANSWER_S,
+    )
+
+
+def _is_answered(session: zenoh.Session, key: str) -> bool | None:
+    replies = _ask(session, key)
+    try:
+        reply = Trust().pick(session, replies)
+    except (zenoh.ZError, NotTheServer):
+        return False
+    late = reply.err is not None and reply.err.payload.to_bytes() == b"Timeout"  # Zenoh's own
+    return None if late else True

@@ -1,8 +1,8 @@
-"""A worker's sign of life: a Zenoh liveliness token that vanishes with its process.
+"""A worker's presence: a Zenoh liveliness token, which Zenoh withdraws when the worker's process ends.
 
-Two tokens more stand beside it for a moment. Whoever wants an id first claims it: of two who do so at once at least one
-sees the other's claim, and whoever sees one steps back. Whoever leaves says so by a token while it withdraws its own,
-so that it is not taken for lost.
+A worker claims its id by a second token before it declares the first. Of two workers that claim an id at the same time
+at least one sees the other's claim and gives up. A worker that leaves declares a third token while it withdraws the
+first, so that the server does not count it as lost.
 """
 
 from __future__ import annotations
@@ -10,34 +10,33 @@ from __future__ import annotations
 import random
 import re
 import time
+from collections.abc import Callable
 from functools import partial
-from types import TracebackType
 from typing import Final, final
+from uuid import uuid4
 
 import zenoh
 
+from crkr.client.lifetimes import Closing, hold, is_forked, release
 from crkr.client.network.config import brief
-from crkr.client.network.forks import hold, is_forked, release
-from crkr.client.network.liveliness_tokens import take, withdraw
-from crkr.client.network.session import NotConnected
-from crkr.client.network.transport import Transport
+from crkr.client.network.session import NotConnected, Session
 from crkr.protocol import Conflict, CrkrError, Internal, Invalid, Unavailable, live_worker_key
 from crkr.protocol.keys import claim_worker_key, left_worker_key
 
-__all__ = ["Presence"]
+__all__ = ["Presence", "end_token", "standing_tokens", "take_token", "withdraw_token"]
 
 _WORKER: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._:-]{0,126}")
 _PAUSE_S: Final = 0.1
 
 
 @final
-class Presence:
-    """Holds the token from `announce` to the end of the `with` block or of the client, whichever comes first.
+class Presence(Closing):
+    """Holds the token from `announce` to `close`, or until the client is closed.
 
-    It is declared again by itself after a reconnect.
+    Zenoh declares it again after a reconnect.
 
     Attributes:
-        worker_id: Who is there.
+        worker_id: The worker's id.
     """
 
     def __init__(self, worker_id: str, token: zenoh.LivelinessToken, session: zenoh.Session, left_key: str) -> None:
@@ -47,8 +46,17 @@ class Presence:
         hold(self, token)
 
     @classmethod
-    def announce(cls, transport: Transport, task: str, worker_id: str, deadline: float) -> Presence:
+    def announce(
+        cls, connect: Callable[[float], zenoh.Session], owner: Session, task: str, worker_id: str, deadline: float
+    ) -> Presence:
         """Declares the token.
+
+        Args:
+            connect: Gives the open session by a deadline.
+            owner: Closes the presence before it closes that session.
+            task: The task's name.
+            worker_id: The worker's id.
+            deadline: When to give up [s, monotonic clock].
 
         Raises:
             Invalid: The worker's id cannot stand in a key.
@@ -57,48 +65,98 @@ class Presence:
         """
         if not isinstance(worker_id, str) or _WORKER.fullmatch(worker_id) is None:
             raise Invalid(f"a worker id is 1 to 127 of A-Z, a-z, 0-9 and ._:- ; got {worker_id!r:.200}")
-        session = transport.connect(deadline)
+        connected = connect(deadline)
         try:
-            while isinstance(token := _take(session, task, worker_id, transport.endpoint), CrkrError):
+            while isinstance(token := _take(connected, task, worker_id, owner.connection.endpoint), CrkrError):
                 if time.monotonic() > deadline:
                     raise token
-                transport.session.pause(_PAUSE_S * random.uniform(0.2, 1.0))
-            presence = cls(worker_id, token, session, left_worker_key(task, worker_id))
+                owner.pause(_PAUSE_S * random.uniform(0.2, 1.0))
+            presence = cls(worker_id, token, connected, left_worker_key(task, worker_id))
         except zenoh.ZError as error:
             raise Internal(f"the token of worker {worker_id!r} could not be declared: {brief(error)}") from error
-        transport.session.see_off(presence)
+        owner.close_before(presence)
         return presence
 
     def close(self) -> None:
-        """Says that the worker leaves and withdraws its token; a second call does nothing."""
-        if is_forked():
-            return
-        try:
-            token = self._tokens.pop()  # one of two threads gets it
-        except IndexError:
-            return
-        release(self)
-        try:
-            left = self._session.liveliness().declare_token(self._left_key)
-            withdraw(token)
-            withdraw(left)
-        except zenoh.ZError as error:
-            if "closed" not in str(error).lower():  # with its session, a token is gone already
-                raise Internal(f"the token could not be withdrawn: {brief(error)}") from error
+        """Announces that the worker leaves and withdraws its token; a second call does nothing."""
+        end_token(self, self._tokens, self._leave, "the token could not be withdrawn")
 
-    def __enter__(self) -> Presence:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
+    def _leave(self, token: zenoh.LivelinessToken) -> None:
+        left = self._session.liveliness().declare_token(self._left_key)
+        withdraw_token(token)
+        withdraw_token(left)
 
 
 def _take(session: zenoh.Session, task: str, worker_id: str, endpoint: str) -> zenoh.LivelinessToken | CrkrError:
-    """The token of a worker's id, or why there is none now."""
+    """The token of a worker's id, or the error that says why it cannot be had now."""
     try:
-        token = take(session, live_worker_key(task, worker_id), partial(claim_worker_key, task, worker_id))
+        token = take_token(session, live_worker_key(task, worker_id), partial(claim_worker_key, task, worker_id))
     except NotConnected as error:
         return Unavailable(f"{error} at {endpoint}; is the server running?")
     return token or Conflict(f"worker id {worker_id!r} is in use on task {task!r}: give each worker its own")
+
+
+def take_token(
+    session: zenoh.Session, key: str, claim_key: Callable[[str], str], taken: str | None = None
+) -> zenoh.LivelinessToken | None:
+    """Declares a token that only one process may hold; None where another process holds it or claims it too.
+
+    A holder claims the token first and withdraws the claim after the token stands, so one of the two always shows.
+
+    Args:
+        session: Whose token it will be.
+        key: Of the token.
+        claim_key: Key of a claim to it, by the claim's name.
+        taken: Key expression of the tokens that exclude this one; `key` unless given.
+
+    Raises:
+        NotConnected: The router did not say which tokens stand.
+    """
+    claim, taken = claim_key(str(uuid4())), taken or key
+    if standing_tokens(session, taken):
+        return None
+    claimed = session.liveliness().declare_token(claim)
+    try:
+        if standing_tokens(session, claim_key("*")) - {claim} or standing_tokens(session, taken):
+            return None
+        return session.liveliness().declare_token(key)
+    finally:
+        withdraw_token(claimed)
+
+
+def standing_tokens(session: zenoh.Session, key: str) -> set[str]:
+    """Keys of the tokens that stand; raises `NotConnected` where the router does not say."""
+    replies = list(session.liveliness().get(key, zenoh.handlers.FifoChannel(16), timeout=0.5))
+    if any(reply.ok is None for reply in replies) or not session.info.routers_zid():
+        raise NotConnected("the router did not say who is there")
+    return {str(reply.ok.key_expr) for reply in replies if reply.ok is not None}
+
+
+def withdraw_token(token: zenoh.LivelinessToken) -> None:
+    """Withdraws a token."""
+    token.undeclare()  # type: ignore[no-untyped-call]  # zenoh's stub gives it no return type
+
+
+def end_token(
+    owner: object,
+    tokens: list[zenoh.LivelinessToken],
+    withdraw: Callable[[zenoh.LivelinessToken], None],
+    complaint: str,
+) -> None:
+    """Withdraws the token that `owner` holds; does nothing where it was withdrawn before, or in a forked child.
+
+    Raises:
+        Internal: Zenoh refuses.
+    """
+    if is_forked():
+        return
+    try:
+        token = tokens.pop()  # of two threads, one gets it
+    except IndexError:
+        return
+    release(owner)
+    try:
+        withdraw(token)
+    except zenoh.ZError as error:
+        if "closed" not in str(error).lower():  # the token ended with its session
+            raise Internal(f"{complaint}: {brief(error)}") from error

@@ -1,21 +1,20 @@
-"""A part that one process at a time plays in a task, such as judging it."""
+"""A role that one process at a time has in a task, such as judging it."""
 
 from __future__ import annotations
 
 import random
 import time
+from collections.abc import Callable
 from functools import partial
-from types import TracebackType
 from typing import Final, final
 from uuid import uuid4
 
 import zenoh
 
+from crkr.client.lifetimes import Closing, hold
 from crkr.client.network.config import brief
-from crkr.client.network.forks import hold, is_forked, release
-from crkr.client.network.liveliness_tokens import standing, take, withdraw
-from crkr.client.network.session import NotConnected
-from crkr.client.network.transport import Transport
+from crkr.client.network.presence import end_token, standing_tokens, take_token, withdraw_token
+from crkr.client.network.session import NotConnected, Session
 from crkr.protocol import Internal, Unavailable, check_name
 from crkr.protocol.keys import claim_role_key, live_role_key
 
@@ -25,11 +24,11 @@ _PAUSE_S: Final = 0.1
 
 
 @final
-class Role:
-    """Held from `take` until it is closed, or its client or process ends; then it is free for others.
+class Role(Closing):
+    """Held from `take` until it is closed, or its client or process ends; then another process may take it.
 
-    Two may hold one after a server's restart or a broken connection, when a holder's token was away for a moment: all
-    but one learn that from `is_mine` and close theirs, and what is done under a role must bear being done twice.
+    After a server's restart or a broken connection two processes may hold the same role for a while. `is_mine` tells
+    all but one of them to close theirs, so work done under a role must be safe to do twice.
     """
 
     def __init__(self, token: zenoh.LivelinessToken, key: str, session: zenoh.Session, taken: str) -> None:
@@ -38,8 +37,10 @@ class Role:
         hold(self, token)
 
     @classmethod
-    def take(cls, transport: Transport, task: str, role: str, deadline: float) -> Role | None:
-        """Takes a role that is free; None where another process has it.
+    def take(
+        cls, connect: Callable[[float], zenoh.Session], owner: Session, task: str, role: str, deadline: float
+    ) -> Role | None:
+        """Takes a free role; None where another process has it.
 
         Raises:
             Invalid: The role's name cannot stand in a key.
@@ -47,46 +48,27 @@ class Role:
         """
         key_of = partial(live_role_key, task, check_name(role, "role"))
         key, taken = key_of(str(uuid4())), key_of("*")
-        session = transport.connect(deadline)
+        connected = connect(deadline)
         try:
-            while (token := take(session, key, partial(claim_role_key, task, role), taken)) is None:
-                if standing(session, taken) or time.monotonic() > deadline:
+            while (token := take_token(connected, key, partial(claim_role_key, task, role), taken)) is None:
+                if standing_tokens(connected, taken) or time.monotonic() > deadline:
                     return None
-                transport.session.pause(_PAUSE_S * random.uniform(0.2, 1.0))  # others want it at this moment
+                owner.pause(_PAUSE_S * random.uniform(0.2, 1.0))  # others claim it at this moment
         except NotConnected as error:
-            raise Unavailable(f"{error} at {transport.endpoint}; is the server running?") from error
+            raise Unavailable(f"{error} at {owner.connection.endpoint}; is the server running?") from error
         except zenoh.ZError as error:
             raise Internal(f"the role {role!r} could not be taken: {brief(error)}") from error
-        return cls(token, key, session, taken)
+        return cls(token, key, connected, taken)
 
     def is_mine(self) -> bool:
-        """Asks: False where another holds it too who is to keep it, or where it was closed."""
+        """Asks whether this process is to keep the role: False where another holder is, or after `close`."""
         if not self._tokens:
             return False
         try:
-            return min(standing(self._session, self._taken), default=self._key) >= self._key
+            return min(standing_tokens(self._session, self._taken), default=self._key) >= self._key
         except (NotConnected, zenoh.ZError):
-            return True  # nobody tells otherwise
+            return True  # unknown: keep it
 
     def close(self) -> None:
-        """Lets go of the role; a second call does nothing."""
-        if is_forked():
-            return
-        try:
-            token = self._tokens.pop()
-        except IndexError:
-            return
-        release(self)
-        try:
-            withdraw(token)
-        except zenoh.ZError as error:
-            if "closed" not in str(error).lower():  # with its session, a token is gone already
-                raise Internal(f"the role could not be let go: {brief(error)}") from error
-
-    def __enter__(self) -> Role:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
+        """Gives the role up; a second call does nothing."""
+        end_token(self, self._tokens, withdraw_token, "the role could not be given up")

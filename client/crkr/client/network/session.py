@@ -1,4 +1,4 @@
-"""One Zenoh session that is opened when first needed, closed once, and never used across a fork."""
+"""One Zenoh session: opened when first needed, closed once, and never used across a fork."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from weakref import WeakSet
 
 import zenoh
 
+from crkr.client.lifetimes import check_not_forked, hold, is_forked, release
 from crkr.client.network.config import Connection, brief
 from crkr.client.network.diagnosis import Obstacle, obstacle
-from crkr.client.network.forks import check_not_forked, hold, is_forked, release
 from crkr.protocol import CrkrError, Unavailable
 
-__all__ = ["Guest", "Inside", "NotConnected", "Session"]
+__all__ = ["CallsInProgress", "Closable", "NotConnected", "Session"]
 
 _logger = logging.getLogger(__name__)
 _OPEN_S: Final = 1.0
@@ -29,19 +29,19 @@ class NotConnected(Exception):
     """This attempt to open the session failed; another may not."""
 
 
-class Guest(Protocol):
-    """What wants to say goodbye while the session is still open."""
+class Closable(Protocol):
+    """Something to close while the session is still open."""
 
     def close(self) -> None:
-        """Says it; a second call does nothing."""
+        """Closes it; a second call does nothing."""
         ...
 
 
 @final
-class Inside:
-    """Who is in Zenoh, so that nobody is when the interpreter ends.
+class CallsInProgress:
+    """Threads inside a Zenoh call.
 
-    It ends its daemons wherever they are, and in the Rust of Zenoh that aborts the process.
+    Interpreter exit kills daemon threads, which aborts the process in Zenoh's Rust code, so closing waits for them.
     """
 
     __slots__ = ("_threads", "shut")
@@ -52,7 +52,7 @@ class Inside:
 
     def __enter__(self) -> None:
         self._threads[threading.get_ident()] = None
-        if self.shut:  # not before the thread is noted, or it might be overlooked
+        if self.shut:  # checked after the thread is registered, so that closing cannot overlook it
             del self._threads[threading.get_ident()]
             raise NotConnected("the session was closed")
 
@@ -60,7 +60,7 @@ class Inside:
         del self._threads[threading.get_ident()]
 
     def wait_until_left(self) -> None:
-        """Waits for all others, who leave as soon as the session is closed."""
+        """Waits for the other threads, whose calls end as soon as the session is closed."""
         until, me, pause = time.monotonic() + _LEAVE_S, threading.get_ident(), threading.Event()
         while any(thread != me for thread in list(self._threads)) and time.monotonic() < until:
             pause.wait(0.001)
@@ -68,25 +68,25 @@ class Inside:
 
 @final
 class Session:
-    """Opens lazily, so that a client may be made before its server is there.
+    """Opens at the first use, so that a client may be made before its server runs.
 
-    Once open, Zenoh reconnects by itself and declares everything again. Closed by `close`, by garbage collection, or
-    when the interpreter exits (before its threads are torn down), whichever comes first.
+    Zenoh reconnects by itself and declares everything again. `close`, garbage collection or the interpreter's exit
+    (before its threads end) closes the session, whichever comes first.
 
     Attributes:
-        connection: Where it leads.
-        inside: To be entered for each call of Zenoh that waits.
-        obstacle: What was found in the way of the last attempt to connect.
+        connection: Endpoint and configuration.
+        calls: Entered for each Zenoh call that blocks.
+        obstacle: What kept the last attempt from connecting.
     """
 
     def __init__(self, connection: Connection) -> None:
         self.connection: Final = connection
         self._lock = threading.Lock()
         self._session: zenoh.Session | None = None
-        self._finalizer: weakref.finalize[[zenoh.Session, WeakSet[Guest], Inside], Session] | None = None
-        self.inside: Final = Inside()
+        self._finalizer: weakref.finalize[[zenoh.Session, WeakSet[Closable], CallsInProgress], Session] | None = None
+        self.calls: Final = CallsInProgress()
         self._closed = threading.Event()
-        self._guests: WeakSet[Guest] = WeakSet()
+        self._closed_before: WeakSet[Closable] = WeakSet()
         self._in_vain = False
         self.obstacle: Obstacle | None = None
         self._look_again = 0.0  # [s, monotonic]
@@ -98,7 +98,7 @@ class Session:
             deadline: When to stop trying [s, monotonic clock].
 
         Raises:
-            NotConnected: Nobody answers at the endpoint yet.
+            NotConnected: No router answers at the endpoint yet.
             Unavailable: The client was closed, belongs to another process, or does not agree with the server about
                 certificates.
         """
@@ -120,12 +120,12 @@ class Session:
         """The session if it is open."""
         return None if self._closed.is_set() or is_forked() else self._session
 
-    def see_off(self, guest: Guest) -> None:
-        """Has a guest closed before the session, whichever way that ends; the guest is not kept alive for it."""
-        self._guests.add(guest)
+    def close_before(self, one: Closable) -> None:
+        """Closes an object before the session ends in any way; keeps only a weak reference."""
+        self._closed_before.add(one)
 
     def pause(self, seconds: float) -> None:
-        """Waits, but not longer than the session lives."""
+        """Waits; closing the session ends the wait."""
         self._closed.wait(seconds)
 
     def close(self) -> None:
@@ -149,17 +149,17 @@ class Session:
             self._in_vain = True
             raise NotConnected(f"cannot connect: {brief(error)}") from error
         self.obstacle = None
-        self._finalizer = weakref.finalize(self, _close, session, self._guests, self.inside)
+        self._finalizer = weakref.finalize(self, _close, session, self._closed_before, self.calls)
         hold(self, session)
         _logger.debug("connected to %s", self.connection.endpoint)
         return session
 
     def _look(self, patience_s: float) -> None:
-        """Ends the waiting where another attempt cannot help: Zenoh would try until its time is over."""
+        """Raises `Unavailable` where another attempt cannot help; Zenoh would try until the deadline."""
         now = time.monotonic()
         if patience_s <= 0.0 or now < self._look_again:
             return
-        if not self.connection.endpoint.startswith("tls/"):  # what is found there can end no waiting
+        if not self.connection.endpoint.startswith("tls/"):  # only TLS errors are final
             self._look_again = now + _LOOK_AGAIN_S
         connection = self.connection
         self.obstacle = obstacle(connection.endpoint, connection.zenoh(1.0), min(_LOOK_S, patience_s))
@@ -173,17 +173,17 @@ class Session:
         check_not_forked()
 
 
-def _close(session: zenoh.Session, guests: WeakSet[Guest], inside: Inside) -> None:
+def _close(session: zenoh.Session, earlier: WeakSet[Closable], calls: CallsInProgress) -> None:
     if is_forked():
         return
-    for guest in list(guests):
+    for one in list(earlier):
         try:
-            guest.close()
+            one.close()
         except CrkrError as error:
             _logger.warning("before closing the session: %s", error.message)
-    inside.shut = True
+    calls.shut = True
     try:
         session.close()  # type: ignore[no-untyped-call]  # zenoh's stub gives it no return type
     except zenoh.ZError as error:
         _logger.warning("closing the session: %s", brief(error))
-    inside.wait_until_left()
+    calls.wait_until_left()

@@ -1,4 +1,4 @@
-"""Publications of a task, kept for a reader who may be slow: the newest stay, the oldest are dropped and counted."""
+"""Publications of a task, buffered for a slow reader; a full buffer drops and counts the oldest."""
 
 from __future__ import annotations
 
@@ -8,13 +8,12 @@ import time
 import weakref
 from collections import deque
 from collections.abc import Sequence
-from types import TracebackType
 from typing import Any, Final, final
 
 import zenoh
 
-from crkr.client.network.forks import hold, is_forked, release
-from crkr.client.network.rpc import plain
+from crkr.client.checks import plain
+from crkr.client.lifetimes import Closing, hold, is_forked, release
 from crkr.protocol import (
     MAX_MESSAGE_BYTES,
     MAX_TELEMETRY_BYTES,
@@ -29,14 +28,14 @@ __all__ = ["TOPICS", "Subscription"]
 
 _logger = logging.getLogger(__name__)
 _JOIN_S: Final = 2.0
-_REST_S: Final = 0.05  # after a defect, which may come again at once
-_MOST_BYTES: Final = 64 << 20  # of publications that wait for the reader
+_REST_S: Final = 0.05  # after a defect, which may recur at once
+_MOST_BYTES: Final = 64 << 20  # of publications in the buffer
 TOPICS: Final = ("trial", "evaluation", "model")
 
 
 @final
 class _Buffer:
-    """What a thread of its own has taken from Zenoh, so that Zenoh's threads never wait for the reader."""
+    """Publications that a thread has taken from Zenoh, so that Zenoh's threads never wait for the reader."""
 
     def __init__(self, capacity: int) -> None:
         self.messages: deque[tuple[str, bytes]] = deque()
@@ -47,7 +46,7 @@ class _Buffer:
         self._capacity, self._bytes = capacity, 0
 
     def fill(self, samples: zenoh.handlers.Handler[zenoh.Sample], topics: Sequence[str]) -> None:
-        """Takes samples until the subscriber is gone; one that cannot be taken is counted, whatever it raises."""
+        """Takes samples until the subscriber is undeclared; counts those that raise an error of any kind."""
         pause = threading.Event()
         try:
             while True:
@@ -55,7 +54,7 @@ class _Buffer:
                     self._take(samples.recv(), topics)
                 except zenoh.ZError:  # the subscriber is gone
                     return
-                except BaseException as error:  # a panic of the binding is no Exception
+                except BaseException as error:  # a panic in the binding is a BaseException
                     self.skip("?", error)
                     pause.wait(_REST_S)
         finally:
@@ -64,7 +63,7 @@ class _Buffer:
                 self.changed.notify_all()
 
     def pop(self) -> tuple[str, bytes]:
-        """The oldest; to be called with `changed` held."""
+        """Removes the oldest; call it with `changed` held."""
         topic, data = self.messages.popleft()
         self._bytes -= len(data)
         return topic, data
@@ -97,8 +96,8 @@ class _Buffer:
 
 
 @final
-class Subscription:
-    """Receives publications until closed; goes on by itself after the server restarts."""
+class Subscription(Closing):
+    """Receives publications until closed, also after the server restarts."""
 
     def __init__(self, session: zenoh.Session, task: str, topics: Sequence[str], capacity: int) -> None:
         unknown = [topic for topic in topics if topic not in TOPICS]
@@ -118,17 +117,17 @@ class Subscription:
 
     @property
     def dropped(self) -> int:
-        """Publications lost here because the reader was slow; Zenoh may lose more on the way and does not count."""
+        """Publications dropped here because the reader was slow; Zenoh may drop more and does not count them."""
         return self._buffer.dropped
 
     @property
     def skipped(self) -> int:
-        """Publications that could not be read: anyone may publish anything, unless access control says otherwise."""
+        """Publications that could not be decoded; any client may publish anything unless access control forbids it."""
         return self._buffer.skipped
 
     @property
     def closed(self) -> bool:
-        """Nothing more will come."""
+        """Whether no more publications will come."""
         return self._buffer.closed
 
     def receive(self, timeout_s: float) -> tuple[str, dict[str, Any]] | None:
@@ -152,14 +151,6 @@ class Subscription:
         self._finalizer()
         release(self)
 
-    def __enter__(self) -> Subscription:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
 
 def _undeclare(subscriber: zenoh.Subscriber[Any], thread: threading.Thread) -> None:
     if is_forked():
@@ -168,5 +159,5 @@ def _undeclare(subscriber: zenoh.Subscriber[Any], thread: threading.Thread) -> N
         subscriber.undeclare()  # type: ignore[no-untyped-call]  # zenoh's stub gives it no return type
     except zenoh.ZError as error:
         _logger.debug("undeclaring: %s", error)
-    if threading.current_thread() is not thread:  # as a garbage collector's
-        thread.join(_JOIN_S)  # in Zenoh, the end of the interpreter would abort the process
+    if threading.current_thread() is not thread:  # it is, where the garbage collector runs there
+        thread.join(_JOIN_S)  # interpreter exit would abort the process while the thread is inside Zenoh

@@ -1,7 +1,7 @@
-"""Why a TLS connection does not come about: Zenoh only says "Timeout", whatever the reason was.
+"""Why a TLS connection fails: Zenoh says "Timeout" whatever the reason is.
 
-A plain handshake with the same certificates is told the reason, by this side's check of the server's certificate or by
-the alert that the server sends.
+A plain handshake with the same certificates shows the reason, by this side's check of the server's certificate or by
+the server's alert.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from typing import Any, Final, final
 
 import zenoh
 
-from crkr.client.network.daemon_threads import Daemons
+from crkr.client.call_threads import CallThreads
 
 __all__ = ["certificate_end", "connection_to", "refusal"]
 
@@ -58,12 +58,12 @@ class _Identity:
 
 
 def refusal(endpoint: str, config: zenoh.Config, patience_s: float) -> str | None:
-    """Tries the handshake alone and says what stands in its way; None where nothing does, or nobody listens.
+    """Tries the handshake alone and says why it fails; None where it succeeds, or no program listens.
 
     Args:
-        endpoint: Zenoh endpoint; only tls and tcp can be looked at.
-        config: With the certificates.
-        patience_s: A server that says nothing for that long may be slow: it has refused nothing.
+        endpoint: Zenoh endpoint; only tls and tcp can be checked.
+        config: Zenoh's configuration, with the certificates.
+        patience_s: Longest time [s]; a server that is silent for that long has refused nothing.
     """
     parts = _ADDRESS.fullmatch(endpoint)
     if parts is None:
@@ -71,9 +71,7 @@ def refusal(endpoint: str, config: zenoh.Config, patience_s: float) -> str | Non
     protocol, host, port = parts.groups()
     deadline = time.monotonic() + patience_s
     identity = _Identity.of(config) if protocol == "tls" else _Identity(None, None, None, False, False)
-    if (
-        identity.shows_one and identity.certificate is None
-    ):  # it is inside the configuration, which does not give it away
+    if identity.shows_one and identity.certificate is None:  # inside the configuration, which does not show it
         return None
     try:
         context = _context(identity)
@@ -83,14 +81,14 @@ def refusal(endpoint: str, config: zenoh.Config, patience_s: float) -> str | Non
         with connection_to(host, int(port), deadline) as connection:
             _shake_hands(connection, context, host, deadline)
     except ssl.SSLError as error:
-        return _reason(error, identity, host) if protocol == "tls" else _mixed_up(error)
-    except (OSError, UnicodeError):  # nobody listens, or says nothing; it is no name
+        return _reason(error, identity, host) if protocol == "tls" else _unexpected_tls(error)
+    except (OSError, UnicodeError):  # no program listens or answers, or the host is not a name
         return None
-    return None if protocol == "tls" else _mixed_up(None)
+    return None if protocol == "tls" else _unexpected_tls(None)
 
 
 def certificate_end(endpoint: str, config: zenoh.Config, patience_s: float) -> datetime | None:
-    """Until when the server's certificate is valid; None where the endpoint has none, or it cannot be checked."""
+    """When the server's certificate expires; None where there is none, or it cannot be checked."""
     parts = _ADDRESS.fullmatch(endpoint)
     if parts is None or parts[1] != "tls":
         return None
@@ -109,7 +107,7 @@ def certificate_end(endpoint: str, config: zenoh.Config, patience_s: float) -> d
 def _context(identity: _Identity) -> ssl.SSLContext:
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     context.check_hostname = identity.checks_name and identity.authority is not None
-    if identity.authority is None:  # public authorities, or one inside the configuration: Zenoh's own affair
+    if identity.authority is None:  # public authorities, or one inside the configuration: Zenoh checks it
         context.verify_mode = ssl.CERT_NONE
     else:
         context.load_verify_locations(identity.authority)
@@ -119,12 +117,12 @@ def _context(identity: _Identity) -> ssl.SSLContext:
 
 
 def connection_to(host: str, port: int, deadline: float, kind: socket.SocketKind = socket.SOCK_STREAM) -> socket.socket:
-    """A connection by the deadline, which the system's look-up of names does not know: hence on a thread of its own.
+    """Connects by the deadline; the name look-up has none of its own, so it runs on a thread.
 
     Raises:
-        OSError: There is none; `socket.gaierror` where the host has no address.
+        OSError: No connection; `socket.gaierror` where the host has no address.
     """
-    threads = Daemons("crkr-names")
+    threads = CallThreads("crkr-names")
     looked_up = threads.submit(partial(socket.getaddrinfo, host, port, type=kind))
     threads.close()
     try:
@@ -146,7 +144,7 @@ def _shake_hands(connection: socket.socket, context: ssl.SSLContext, host: str, 
     began = time.monotonic()
     connection.settimeout(max(0.001, deadline - began))
     with context.wrap_socket(connection, server_hostname=host) as secured:
-        # In TLS 1.3 the server looks at the client's certificate when the client is done: one way there and one back.
+        # In TLS 1.3 the server checks the client's certificate after the client is done: one more round trip.
         now = time.monotonic()
         secured.settimeout(max(0.001, min(deadline - now, _ALERT_S + 2 * (now - began))))
         with suppress(TimeoutError):
@@ -155,7 +153,7 @@ def _shake_hands(connection: socket.socket, context: ssl.SSLContext, host: str, 
 
 def _reason(error: ssl.SSLError, identity: _Identity, host: str) -> str | None:
     if isinstance(error, ssl.SSLCertVerificationError):
-        return _distrust(error, identity, host)
+        return _certificate_fault(error, identity, host)
     alert, mine = error.reason or "", identity.certificate
     if "CERTIFICATE_REQUIRED" in alert or (mine is None and "HANDSHAKE_FAILURE" in alert):
         return "the server admits only clients with a certificate, and this one shows none: name it in --zenoh-config"
@@ -167,10 +165,10 @@ def _reason(error: ssl.SSLError, identity: _Identity, host: str) -> str | None:
         return f"the server broke off the TLS handshake: {_words(error)}"
     if alert == "WRONG_VERSION_NUMBER":
         return "what listens there does not speak TLS"
-    return None  # a connection that just ends, as when the server does
+    return None  # the connection just ended, as with a server that stops
 
 
-def _distrust(error: ssl.SSLCertVerificationError, identity: _Identity, host: str) -> str:
+def _certificate_fault(error: ssl.SSLCertVerificationError, identity: _Identity, host: str) -> str:
     match error.verify_code:  # OpenSSL's X509_V_ERR_...: not yet valid, expired, another name, another address
         case 9:
             return f"the server's certificate is not valid yet, {_CLOCK}"
@@ -181,8 +179,8 @@ def _distrust(error: ssl.SSLCertVerificationError, identity: _Identity, host: st
     return f"the server's certificate is not of the authority {identity.authority}: {error.verify_message}"
 
 
-def _mixed_up(error: ssl.SSLError | None) -> str | None:
-    """For an endpoint without TLS: that it has some, as shown by a handshake or by an alert about it."""
+def _unexpected_tls(error: ssl.SSLError | None) -> str | None:
+    """For an endpoint without TLS: says that TLS runs there, as a handshake or an alert shows."""
     if error is None or "ALERT" in (error.reason or ""):
         return "what listens there speaks TLS: connect to tls/..., with certificates by --zenoh-config"
     return None

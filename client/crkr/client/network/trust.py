@@ -1,9 +1,8 @@
-"""Whose answers are the server's: any client may declare a queryable on the server's keys where nothing forbids it.
+"""Which answers are the server's: without access control any client may declare a queryable on the server's keys.
 
-Zenoh names the session that replied. The server's own session is the router that a client is connected to, and a router
-connects no second session with its id; so an answer of that router is the server's, and all others are ignored. Where
-another router stands in between, the session that answered first is taken for the server until it is gone: until a
-question to all comes to its end without an answer of it.
+Zenoh names the session that replied. The server's session is the router that a client is connected to, and a router
+accepts no second session with its id; so that router's answers are the server's, and all others are ignored. Behind
+another router, the session that answers first is taken for the server until a question to all ends without its answer.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ import zenoh
 __all__ = ["EVERYONE", "NotTheServer", "Trust"]
 
 _logger = logging.getLogger(__name__)
-EVERYONE: Final = zenoh.QueryTarget.ALL  # or one who claims to answer for all would be asked in the server's place
+EVERYONE: Final = zenoh.QueryTarget.ALL  # or a queryable declared complete would be asked instead of the server
 _TIMEOUT: Final = b"Timeout"  # Zenoh's own error, when the time of a question is over
 
 
@@ -26,10 +25,10 @@ class NotTheServer(Exception):
 
 @final
 class Trust:
-    """What a client knows of the server's session; safe to use from many threads.
+    """What a client knows of the server's session; threads may share it.
 
     Attributes:
-        strangers: Answers that were ignored, as they were not the server's.
+        strangers: Answers that were ignored because they were not the server's.
     """
 
     def __init__(self) -> None:
@@ -38,11 +37,11 @@ class Trust:
         self.strangers = 0
 
     def pick(self, session: zenoh.Session, replies: zenoh.handlers.Handler[zenoh.Reply]) -> zenoh.Reply:
-        """The server's reply, or Zenoh's own error, among those to one question.
+        """Returns the server's reply, or Zenoh's own error, among the replies to one question.
 
         Raises:
-            zenoh.ZError: The question has ended without an answer.
-            NotTheServer: It has ended with answers of others.
+            zenoh.ZError: The question ended without an answer.
+            NotTheServer: It ended with answers of other clients only.
         """
         stranger: zenoh.Reply | None = None
         while True:
@@ -72,7 +71,7 @@ class Trust:
         return False
 
     def _adopt(self, reply: zenoh.Reply) -> zenoh.Reply:
-        """Takes another for the server, which a router stands before."""
+        """Takes another session, behind a router, for the server."""
         if self._server is not None:
             _logger.warning("another server answers, %s: the one before is gone", _name(reply))
         self._server = None if reply.replier_id is None else reply.replier_id.zid

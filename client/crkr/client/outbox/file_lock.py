@@ -1,8 +1,7 @@
 """A lock on an outbox's file that lasts as long as its holder.
 
-SQLite's own locks are POSIX ones, which a process loses as soon as it opens and closes the file in any other way, as to
-copy it. This one is of the kind that belongs to an open file (flock), on a file of its own beside the database; the
-kernel frees it when its holder dies.
+SQLite uses POSIX locks, which a process loses as soon as it opens and closes the file in any other way, e.g. to copy
+it. This lock (flock) belongs to an open file beside the database; the kernel frees it when the holder's process ends.
 """
 
 from __future__ import annotations
@@ -13,21 +12,21 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final, final
 
-from crkr.client.network.forks import leave_in_child, stay
+from crkr.client.lifetimes import leave_in_child, stay
 from crkr.protocol import StorageError
 
 __all__ = ["FileLock", "file_at", "in_use", "no_locks"]
 
-# Without POSIX, SQLite's own locks are all there is; a process does not lose them there.
+# Without POSIX, SQLite's own locks suffice: a process does not lose them there.
 fcntl: Any = importlib.import_module("fcntl") if os.name == "posix" else None
 
 
 @final
 class FileLock:
-    """Held from its making to `release`, by one holder in one process.
+    """Held from construction to `release`, by one holder in one process.
 
     Args:
-        path: The file that is protected; the lock is beside it, also where the path is a symbolic link.
+        path: The protected file; the lock is beside it, or beside the target of a symbolic link.
 
     Raises:
         StorageError: Another holder has it, or the file system has no locks.
@@ -46,16 +45,16 @@ class FileLock:
                 raise
             if file_at(self._path) == _identity(os.fstat(file)):
                 self._file = file
-            else:  # its holder took it away between the two steps
+            else:  # its holder removed it between the two steps
                 os.close(file)
         self._identity = _identity(os.fstat(self._file))
-        with suppress(OSError):  # it is only for people; a full disk is told by the database
+        with suppress(OSError):  # for people only; the database tells of a full disk
             os.ftruncate(self._file, 0)
             os.write(self._file, f"{os.getpid()}\n".encode())
         leave_in_child(self._file)
 
     def check(self) -> None:
-        """Raises `StorageError` where the lock's file is another or none, so that a second holder may have come."""
+        """Raises `StorageError` where the lock's file was removed or replaced: there may be a second holder."""
         if file_at(self._path) != self._identity:
             raise StorageError(
                 f"the lock of the outbox {self._protected} was removed while it was open ({self._path.name}), and "
@@ -63,7 +62,7 @@ class FileLock:
             )
 
     def release(self) -> None:
-        """Lets go and takes the lock's file away; a second call does nothing."""
+        """Releases the lock and removes its file; a second call does nothing."""
         file, self._file = self._file, None
         if file is None:
             return
@@ -73,7 +72,7 @@ class FileLock:
                 self._path.unlink()
         if fcntl is not None:
             with suppress(OSError):
-                fcntl.flock(file, fcntl.LOCK_UN)  # closing does not suffice where a forked child has it too
+                fcntl.flock(file, fcntl.LOCK_UN)  # closing is not enough where a forked child has the file open
         os.close(file)
 
     def _open(self) -> int:
@@ -96,7 +95,7 @@ class FileLock:
 
 
 def in_use(path: Path, holder: str = "") -> StorageError:
-    """Why a file that another has open cannot be had."""
+    """The error for a file that is open elsewhere."""
     named = f" (process {holder})" if holder else ""
     return StorageError(
         f"the outbox {path} is in use already, by this program or another{named}; "
@@ -105,7 +104,7 @@ def in_use(path: Path, holder: str = "") -> StorageError:
 
 
 def no_locks(path: Path, error: Exception) -> StorageError:
-    """Why a file cannot be had on a file system such as NFS or Lustre without locks."""
+    """The error for a file system without locks, such as some NFS and Lustre."""
     return StorageError(
         f"the outbox {path} cannot be locked: the file system there has no file locks ({error}); "
         "put it on a disk of this machine"
@@ -113,7 +112,7 @@ def no_locks(path: Path, error: Exception) -> StorageError:
 
 
 def file_at(path: Path) -> tuple[int, int] | None:
-    """Which file that is; None where there is none."""
+    """Identity of the file at a path, or None."""
     try:
         return _identity(os.stat(path))
     except OSError:

@@ -1,23 +1,22 @@
-"""Reports that outlive the network: kept in a file first, sent when the server answers, and stored there once.
+"""Reports that survive a lost network: kept in a file, sent when the server answers, and stored there once.
 
-A trial's id makes a repeated report harmless, so what was sent and not acknowledged is sent again: after a lost link, a
-restart of the server, or one of the robot.
+A trial's id makes a repeated report harmless, so unacknowledged trials are sent again after a lost link or a restart of
+the server or of the robot.
 """
 
 from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Final, final
+from typing import Any, Final, Unpack, final
 from uuid import UUID
 
-from crkr.client.goals import check_receipt
-from crkr.client.network.forks import check_not_forked, is_forked
-from crkr.client.network.rpc import Rpc, positive, reading
+from crkr.client.checks import answer_to, check_receipt, positive
+from crkr.client.lifetimes import Closing, check_not_forked, is_forked
 from crkr.client.outbox.outbox_file import OutboxFile, Refused
+from crkr.client.rpc import Rpc
 from crkr.protocol import (
     Conflict,
     CrkrError,
@@ -26,6 +25,7 @@ from crkr.protocol import (
     Prediction,
     Receipt,
     TaskSpec,
+    TrialFields,
     Unavailable,
     make_trials,
     task_key,
@@ -34,17 +34,17 @@ from crkr.protocol import (
 __all__ = ["Outbox"]
 
 _logger = logging.getLogger(__name__)
-_TOGETHER: Final = 256  # trials in a message; fewer where a link is too slow for that
-_STREAK: Final = 10  # messages that were delivered, until more trials are tried in one
+_TOGETHER: Final = 256  # trials in a message; fewer on a slow link
+_STREAK: Final = 10  # delivered messages after which the next ones get larger
 _ATTEMPT_S: Final = 3.0  # to send one
-_FIRST_PAUSE_S: Final = 0.1  # after a message that was not answered
+_FIRST_PAUSE_S: Final = 0.1  # after an unanswered message
 _LONGEST_PAUSE_S: Final = 2.0
 _JOIN_S: Final = 0.5
 
 
 @final
-class Outbox:
-    """Takes reports as `Task.report` does and delivers them in the background, in order; many threads may share it.
+class Outbox(Closing):
+    """Takes reports as `Task.report` does and delivers them in the background, in order; threads may share it.
 
     Attributes:
         path: The file.
@@ -59,24 +59,24 @@ class Outbox:
         look: Callable[[float | None], tuple[TaskSpec, bool]],
         timeout_s: float | None = None,
     ) -> None:
-        """Opens the file and goes on with what is in it; `Task.outbox` makes one.
+        """Opens the file and delivers what is in it; `Task.outbox` makes one.
 
         Args:
-            rpc: What sends.
+            rpc: Sends the reports.
             task: The task's name.
             path: The file, made where it is not there.
-            look: Asks, by a deadline [s], for the task's specification and whether it is archived.
-            timeout_s: Deadline of asking, for a new file, which keeps the specification [s].
+            look: Asks for the task's specification and whether it is archived, within a time [s].
+            timeout_s: Deadline of asking for the specification, which a new file keeps [s].
 
         Raises:
-            StorageError: The file cannot be opened, is none of these, or is open already.
+            StorageError: The file cannot be opened, is not an outbox, or is open already.
             Conflict: It belongs to another task.
-            CrkrError: Whatever `look` raises.
+            CrkrError: Any error of `look`.
         """
         self.path: Final = path
         self._rpc, self._task, self._look = rpc, task, look
-        self._server: UUID | None = None  # whose task was found to be the one of these trials
-        self._most, self._streak = _TOGETHER, 0  # trials in the next message; messages delivered one after another
+        self._server: UUID | None = None  # server whose task was checked
+        self._most, self._streak = _TOGETHER, 0  # trials in the next message; messages delivered in a row
         self._file = OutboxFile(path, task)
         try:
             self.spec: Final = self._file.spec or self._file.describe(look(timeout_s)[0])
@@ -93,7 +93,7 @@ class Outbox:
 
     @property
     def pending(self) -> int:
-        """How many trials are still to be delivered."""
+        """Number of trials still to be delivered."""
         return self._pending
 
     @property
@@ -103,33 +103,23 @@ class Outbox:
 
     @property
     def defects(self) -> int:
-        """Attempts to deliver that failed by no error of the protocol, but by a defect or for want of memory."""
+        """Deliveries that failed by a defect or for lack of memory, not by an error of the protocol."""
         return self._defects
 
     def refused(self) -> list[Refused]:
-        """Trials that the server refused (`Invalid`, `Conflict`) or that cannot be read; they stay in the file."""
+        """Trials that the server refused (`Invalid`, `Conflict`) or that cannot be read; the file keeps them."""
         return self._file.refused()
 
     def discard(self, refused: Sequence[Refused]) -> None:
-        """Forgets trials that were put aside, for good."""
+        """Deletes refused trials for good."""
         self._file.discard([one.number for one in refused])
 
-    def report(
-        self,
-        answer: Prediction | None = None,
-        *,
-        state: object = None,
-        goal: object = None,
-        cost: object,
-        success: object,
-        kind: str = "trial",
-        id: UUID | bytes | Sequence[UUID | bytes] | None = None,  # noqa: A002 - the protocol's word
-        outcome: object = None,
-        worker: str | None = None,
-        model_version: int | None = None,
-        info: Mapping[str, Any] | Sequence[Mapping[str, Any]] | None = None,
-    ) -> tuple[UUID, ...]:
-        """Keeps what one trial or a batch cost; arguments as for `Task.report`.
+    def report(self, answer: Prediction | None = None, **trial: Unpack[TrialFields]) -> tuple[UUID, ...]:
+        """Keeps what one trial or a batch cost.
+
+        Args:
+            answer: The prediction that was tried; or give `state` and `goal`.
+            trial: What was done and how it went, see `crkr.protocol.TrialFields`.
 
         Returns:
             The ids, once the trials are in the file and on the disk. The server has them when `pending` says so.
@@ -140,20 +130,7 @@ class Outbox:
             Unavailable: The outbox was closed.
         """
         check_not_forked()
-        trials = make_trials(
-            self.spec,
-            answer,
-            state=state,
-            goal=goal,
-            cost=cost,
-            success=success,
-            kind=kind,
-            id=id,
-            outcome=outcome,
-            worker=worker,
-            model_version=model_version,
-            info=info,
-        )
+        trials = make_trials(self.spec, answer, **trial)
         with self._changed:
             if self._closing.is_set():
                 raise Unavailable(f"the outbox {self.path} is closed")
@@ -162,19 +139,19 @@ class Outbox:
                 self._pending += len(trials)
             except CrkrError:
                 raise
-            except BaseException:  # an interrupt may come between the two
+            except BaseException:  # an interrupt between the two
                 self._pending = self._file.pending()
                 raise
             finally:
                 self._changed.notify_all()
-        return tuple(trial.id for trial in trials)
+        return tuple(one.id for one in trials)
 
     def flush(self, timeout_s: float) -> None:
-        """Waits until all is delivered or refused.
+        """Waits until all trials are delivered or refused.
 
         Raises:
             Invalid: A time that is not positive and finite.
-            Unavailable: Some is not by the deadline, or the outbox was closed; it stays in the file.
+            Unavailable: Some trials are not by the deadline, or the outbox was closed; the file keeps them.
         """
         check_not_forked()
         with self._changed:
@@ -185,14 +162,14 @@ class Outbox:
             raise Unavailable(f"{left} trials are still in the outbox {self.path}{why}", details={"pending": left})
 
     def close(self) -> None:
-        """Ends delivering and frees the file, which keeps what is left for the next time; idempotent."""
+        """Ends delivery and closes the file, which keeps the rest for the next time; a second call does nothing."""
         if is_forked():
             return
         with self._changed:
             self._closing.set()
             self._changed.notify_all()
         if threading.current_thread() is not self._thread:
-            self._thread.join(_JOIN_S)  # what is under way is sent again the next time, if need be
+            self._thread.join(_JOIN_S)  # a report in flight is sent again the next time
         self._file.close()
 
     def __repr__(self) -> str:
@@ -200,28 +177,20 @@ class Outbox:
         defects = f", defects={self._defects}" if self._defects else ""
         return f"Outbox({str(self.path)!r}, task={self._task!r}, pending={self._pending}, fault={fault}{defects})"
 
-    def __enter__(self) -> Outbox:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
     def _deliver(self) -> None:
         pause, over = 0.0, False
         while not over:
             try:
                 over = self._closing.wait(pause) or self._deliver_once()
                 pause = 0.0
-            except BaseException as error:  # whatever it is, the trials are in the file; the next attempt may do better
+            except BaseException as error:  # the trials are in the file; the next attempt may succeed
                 over = self._closing.is_set()
                 if not over:
                     self._note(error)
                 pause = min(max(2.0 * pause, _FIRST_PAUSE_S), _LONGEST_PAUSE_S)
 
     def _deliver_once(self) -> bool:
-        """Waits for trials and sends some; whether the outbox was closed."""
+        """Waits for trials and sends some; returns whether the outbox was closed."""
         with self._changed:
             self._changed.wait_for(lambda: self._pending or self._closing.is_set())
         if self._closing.is_set():
@@ -248,7 +217,7 @@ class Outbox:
         if whole:
             try:
                 self._send(whole)
-            except Unavailable:  # perhaps the link carries less in the time
+            except Unavailable:  # the link may be too slow for so large a message
                 self._most, self._streak = max(len(whole) // 2, 1), 0
                 raise
             self._streak += 1
@@ -262,11 +231,11 @@ class Outbox:
             self._changed.notify_all()
 
     def _send(self, rows: list[tuple[int, dict[str, Any]]]) -> None:
-        """Sends trials together; where one of them is refused, by halves, until it is found."""
+        """Sends trials together; where one is refused, in halves until it is found."""
         try:
             message = {"trials": [trial for _, trial in rows]}
             reply = self._rpc.call(task_key(self._task, "report"), message, _ATTEMPT_S)
-            with reading("report"):
+            with answer_to("report"):
                 check_receipt(Receipt.from_wire(reply), len(rows))
         except (Invalid, Conflict) as error:
             if len(rows) > 1:
@@ -274,10 +243,10 @@ class Outbox:
                 self._send(rows[:middle])
                 self._send(rows[middle:])
                 return
-            self._check_task(anew=True)  # it may be the task that is wrong, not the trial
+            self._check_task(anew=True)  # the task may be wrong, not the trial
             self._put_aside(rows[0][0], f"{error.code}: {error.message}")
             return
-        self._check_task()  # one with other data may have answered
+        self._check_task()  # a server with other data may have answered
         with self._changed:
             self._file.delivered([number for number, _ in rows])
             self._pending -= len(rows)
@@ -296,7 +265,7 @@ class Outbox:
         spec, archived = self._look(_ATTEMPT_S)
         if differences := _differences(self.spec, spec):
             raise Conflict(
-                f"task {self._task!r} at {self._rpc.transport.endpoint} is another than that of the trials in "
+                f"task {self._task!r} at {self._rpc.transport.endpoint} is not the task of the trials in "
                 f"{self.path}: its {', '.join(differences)} differ; bring back its data, or begin another outbox",
                 details={"fields": differences},
             )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-__all__ = ["FileRow", "Layout", "Sink", "Source", "check_free", "check_kind", "reading", "writing"]
+__all__ = ["FileRow", "Layout", "Sink", "Source", "check_kind", "trial_sink", "trial_source"]
 
-from crkr.client.trial_files.files import Sink, Source, check_free, check_kind, reading, writing
+from crkr.client.trial_files.files import Sink, Source, check_kind, trial_sink, trial_source
 from crkr.client.trial_files.layout import FileRow, Layout

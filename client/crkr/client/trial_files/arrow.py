@@ -1,4 +1,4 @@
-"""Trials in Parquet and CSV, by pyarrow, which this module alone knows."""
+"""Trials in Parquet and CSV; the only module that imports pyarrow."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ __all__ = ["ArrowSink", "csv_source", "parquet_source"]
 _TYPES: Final = {"int": pa.int64(), "float": pa.float64(), "text": pa.string(), "flag": pa.bool_()}
 _ROWS: Final = 4096  # read together
 _BUFFER: Final = 2**20  # bytes of each column in a Parquet file
-_MANY_BYTES: Final = 2**28  # of one group of rows; more are believed where the file is large
+_MANY_BYTES: Final = 2**28  # of one group of rows; larger files may have more
 _MOST_PACKED: Final = 100  # times the file's own size
 _PLACE: Final = re.compile(r"(?:In CSV column #(\d+): )?(?:.*?)Row #(\d+): (.*)", re.DOTALL)
 
 
 @final
 class ArrowSink:
-    """Writes as it is told, so that a long task needs no memory.
+    """Writes each batch at once, so that a long task needs no memory.
 
     Args:
-        file: Where to.
+        file: The file.
         layout: The columns.
         kind: ".parquet" or ".csv".
     """
@@ -45,39 +45,39 @@ class ArrowSink:
             self._writer = pa.csv.CSVWriter(file, self._schema)
 
     def write(self, columns: Mapping[str, Sequence[Any]]) -> None:
-        """Takes values by column."""
+        """Adds rows, given as values by column."""
         self._writer.write_table(pa.table(dict(columns), schema=self._schema))
 
     def close(self) -> None:
-        """Writes what is left."""
+        """Writes the rest."""
         self._writer.close()
 
 
 def parquet_source(path: Path, layout: Layout) -> tuple[int, Iterator[Mapping[str, Any]]]:
-    """How many rows there are, and each by column.
+    """The number of rows, and the rows, each by column.
 
     Raises:
         Invalid: Not Parquet, columns of other names or types, or sizes that no file of trials has.
     """
-    with _complaints():
+    with _content_errors():
         file = pa.parquet.ParquetFile(path, pre_buffer=False, buffer_size=_BUFFER, page_checksum_verification=True)
         schema, count = file.schema_arrow, int(file.metadata.num_rows)
     layout.check(schema.names)
     known = [name for name in layout.read if name in schema.names]
-    with _complaints():
+    with _content_errors():
         for name in known:
             _check_type(name, schema.field(name).type, count)
         _check_sizes(file.metadata, path.stat().st_size)
 
     def batches() -> Iterator[Any]:
-        with file, _complaints():
+        with file, _content_errors():
             yield from file.iter_batches(_ROWS, columns=known, use_threads=False)
 
     return count, _rows(batches(), known, layout)
 
 
 def csv_source(path: Path, layout: Layout) -> tuple[int, Iterator[Mapping[str, Any]]]:
-    """How many rows there are, and each by column.
+    """The number of rows, and the rows, each by column.
 
     Raises:
         Invalid: Not CSV, columns of other names, or a value of another type; the message names row and column.
@@ -86,7 +86,7 @@ def csv_source(path: Path, layout: Layout) -> tuple[int, Iterator[Mapping[str, A
     wanted = [name for name in names if name in layout.read]
 
     def batches() -> Iterator[Any]:
-        with _complaints(names), _csv_reader(path, wanted) as reader:
+        with _content_errors(names), _csv_reader(path, wanted) as reader:
             yield from reader
 
     return count, _rows(batches(), wanted, layout) if count else iter(())
@@ -95,7 +95,7 @@ def csv_source(path: Path, layout: Layout) -> tuple[int, Iterator[Mapping[str, A
 def _csv_reader(path: Path, wanted: Sequence[str]) -> Any:
     return pa.csv.open_csv(
         path,
-        # In threads it would not tell the row of an error. A row must fit in a block.
+        # With threads, an error would not name its row. A row must fit in a block.
         read_options=pa.csv.ReadOptions(use_threads=False, block_size=4 * LONGEST_LINE),
         parse_options=pa.csv.ParseOptions(newlines_in_values=True),
         convert_options=pa.csv.ConvertOptions(
@@ -109,7 +109,7 @@ def _csv_reader(path: Path, wanted: Sequence[str]) -> Any:
 
 
 def _check_type(name: str, kind: Any, count: int) -> None:
-    """Refuses what can be no cell: dates, lists, maps."""
+    """Refuses types that no column has: dates, lists, maps."""
     kind = kind.value_type if pa.types.is_dictionary(kind) else kind
     kind = kind.storage_type if isinstance(kind, pa.BaseExtensionType) else kind
     is_plain = any(
@@ -131,9 +131,9 @@ def _check_type(name: str, kind: Any, count: int) -> None:
 
 
 def _check_sizes(metadata: Any, there: int) -> None:
-    """Compares what the file says of itself with what there is, before anything is read.
+    """Compares the sizes in the file's metadata with its real size, before anything is read.
 
-    Not by column: pyarrow ends the process where the sizes of a damaged file's column contradict each other.
+    Not by column: pyarrow aborts the process where the sizes of a damaged file's column contradict each other.
     """
     total = 0
     for place in range(metadata.num_row_groups):
@@ -151,7 +151,7 @@ def _check_sizes(metadata: Any, there: int) -> None:
 def _rows(batches: Iterator[Any], names: Sequence[str], layout: Layout) -> Iterator[Mapping[str, Any]]:
     number = 0
     for batch in batches:
-        with _complaints():
+        with _content_errors():
             cells = [_cells(batch.column(name), layout.read[name] == "float") for name in names]
         for place in range(batch.num_rows):
             number += 1
@@ -162,12 +162,12 @@ def _rows(batches: Iterator[Any], names: Sequence[str], layout: Layout) -> Itera
 
 
 def _cells(column: Any, are_numbers: bool) -> tuple[list[Any], bool]:
-    """The values of a column, and whether they are text that is still to be read."""
-    if isinstance(column, pa.ExtensionArray):  # UUIDs for one, whose storage is 16 bytes
+    """The values of a column, and whether they are text to be parsed."""
+    if isinstance(column, pa.ExtensionArray):  # e.g. UUIDs, stored as 16 bytes
         column = column.storage
     kind = column.type.value_type if pa.types.is_dictionary(column.type) else column.type
     if are_numbers and _is_text(kind):
-        with suppress(pa.ArrowInvalid):  # there are gaps, or what is no number: each is looked at
+        with suppress(pa.ArrowInvalid):  # gaps or other text: parsed cell by cell
             return column.cast(pa.float64()).to_pylist(), False
     return column.to_pylist(), _is_text(kind)
 
@@ -177,16 +177,16 @@ def _is_text(kind: Any) -> bool:
 
 
 @contextmanager
-def _complaints(columns: Sequence[str] = ()) -> Iterator[None]:
-    """Turns complaints about a file's content into `Invalid`.
+def _content_errors(columns: Sequence[str] = ()) -> Iterator[None]:
+    """Turns errors about a file's content into `Invalid`.
 
     Args:
-        columns: All that the file has, which is how pyarrow counts them; its rows count the header.
+        columns: All columns of the file, as pyarrow counts them; its rows count the header.
     """
     try:
         yield
     except OSError as error:
-        if error.errno is not None:  # of the disk, not of what is in the file
+        if error.errno is not None:  # an error of the disk, not of the content
             raise
         raise Invalid(f"it cannot be read: {error}") from error
     except (pa.ArrowException, ValueError, TypeError, LookupError, OverflowError, RecursionError) as error:

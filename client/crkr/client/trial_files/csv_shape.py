@@ -1,6 +1,6 @@
-"""Whether a CSV file is whole: every row has its columns, and every quote an end. Nothing of it is stored before.
+"""Checks that a CSV file is complete before any row is stored: all columns in every row, all quotes closed.
 
-The reader of pyarrow passes over rows behind a quote that is never closed, as if the file ended there.
+pyarrow's reader silently drops the rows after a quote that is never closed.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ LONGEST_LINE: Final = 2**20  # characters; also of a cell with line breaks in it
 
 
 def csv_shape(path: Path, layout: Layout) -> tuple[list[str], int]:
-    """The names of the columns, and how many rows there are.
+    """The column names and the number of rows.
 
     Raises:
         Invalid: Columns of other names, a row with more or fewer of them, or a quote that is never closed; the message
             names the row.
     """
-    # Columns that are not read may be in any encoding; pyarrow looks at the others.
+    # Columns that are not read may be in any encoding; pyarrow checks the others.
     with path.open(newline="", encoding="utf-8-sig", errors="surrogateescape") as file:
         records = csv.reader(_lines(file), strict=True)
         try:
@@ -71,7 +71,7 @@ def _check_record(number: int, record: list[str], names: list[str]) -> None:
 
 
 def _is_row(line: str, names: list[str]) -> bool:
-    """Whether a line of a cell is a row of the file, which a quote too many took in."""
+    """Whether a line of a cell looks like a row of the file, taken in by an unclosed quote."""
     cells = next(csv.reader([line]), [])
     if len(cells) != len(names):
         return False

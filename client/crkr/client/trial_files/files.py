@@ -1,4 +1,4 @@
-"""Files of trials by their names' endings."""
+"""Files of trials; the ending of a file's name says its format."""
 
 from __future__ import annotations
 
@@ -8,37 +8,37 @@ from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any, Final, Protocol, final
-from uuid import uuid4
 
 from crkr.client.cli.error_lines import require
+from crkr.client.cli.output_file import check_input, output_file
 from crkr.client.trial_files.layout import FileRow, Layout
 from crkr.protocol import Invalid, StorageError
 
-__all__ = ["Sink", "Source", "check_free", "check_kind", "reading", "writing"]
+__all__ = ["Sink", "Source", "check_kind", "trial_sink", "trial_source"]
 
 _KINDS: Final = (".parquet", ".csv", ".npz")
 
 
 class Sink(Protocol):
-    """A file that trials are written to."""
+    """Writes trials to a file."""
 
     def write(self, columns: Mapping[str, Sequence[Any]]) -> None:
-        """Takes values by column."""
+        """Adds rows, given as values by column."""
         ...
 
     def close(self) -> None:
-        """Writes what is left."""
+        """Writes the rest."""
         ...
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class Source:
-    """A file that trials are read from.
+    """Trials of a file.
 
     Attributes:
-        count: How many there are.
-        rows: Each of them; raises `Invalid` at the first that no trial of the task can be.
+        count: Number of trials.
+        rows: The trials; raises `Invalid` at the first row that is not a trial of the task.
     """
 
     count: int
@@ -46,11 +46,11 @@ class Source:
 
 
 def check_kind(path: Path) -> str:
-    """The ending of the file's name, which says what it is.
+    """Returns the ending of the file's name.
 
     Raises:
-        Invalid: None of those that are known.
-        ModuleNotFoundError: The library for this one is not installed.
+        Invalid: The ending is unknown.
+        ModuleNotFoundError: The library for this format is not installed.
     """
     kind = path.suffix.lower()
     if kind not in _KINDS:
@@ -60,56 +60,30 @@ def check_kind(path: Path) -> str:
     return kind
 
 
-def check_free(path: Path, *, overwrite: bool) -> None:
-    """Looks whether a file may be written.
-
-    Raises:
-        Invalid: There is one already, and it is not to be overwritten; or something that is no file.
-    """
-    if not os.path.lexists(path):
-        return
-    if not overwrite:
-        raise Invalid(f"{path} exists; choose another file, or --overwrite")
-    if path.exists() and not path.is_file():
-        raise Invalid(f"{path} is no regular file; choose another name")
-
-
 @contextmanager
-def writing(path: Path, layout: Layout, *, overwrite: bool = False) -> Iterator[Sink]:
-    """A new file, or one in place of the one there; it appears under its name when it is whole.
+def trial_sink(path: Path, layout: Layout, *, overwrite: bool = False) -> Iterator[Sink]:
+    """Gives a sink for trials; the file appears under its name when it is complete.
 
     Raises:
-        Invalid: There is one already, and it is not to be overwritten.
+        Invalid: The file exists and may not be overwritten, or cannot be written.
     """
     kind = check_kind(path)
-    check_free(path, overwrite=overwrite)
-    partial = path.with_name(f".crkr-{uuid4().hex}.partial")
-    try:
-        with partial.open("xb") as file:
-            with closing(_sink(file, layout, kind)) as sink:
-                yield sink
-            file.flush()
-            os.fsync(file.fileno())
-        check_free(path, overwrite=overwrite)  # it may have come meanwhile
-        partial.replace(path)
-    except OSError as error:
-        if error.filename == str(partial):
-            error.filename = str(path)  # which the user knows
-        raise
-    finally:
-        partial.unlink(missing_ok=True)
+    with output_file(path, overwrite=overwrite) as partial, partial.open("xb") as file:
+        with closing(_sink(file, layout, kind)) as sink:
+            yield sink
+        file.flush()
+        os.fsync(file.fileno())
 
 
-def reading(path: Path, layout: Layout) -> Source:
-    """Opens a file; every complaint about it names it.
+def trial_source(path: Path, layout: Layout) -> Source:
+    """Opens a file; every error names it.
 
     Raises:
-        Invalid: It is not what its name says, or lacks columns.
+        Invalid: The content is not what the name says, or columns are missing.
     """
     kind = check_kind(path)
+    check_input(path)
     with _naming(path):
-        if path.exists() and not path.is_file():
-            raise Invalid("it is no regular file")
         count, found = _source(path, layout, kind)
 
     def rows() -> Iterator[FileRow]:

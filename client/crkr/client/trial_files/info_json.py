@@ -1,6 +1,6 @@
-"""A trial's `info` as JSON that comes back the same, though msgpack knows more than JSON does.
+"""A trial's `info` as JSON, without loss.
 
-What JSON has no word for (bytes, arrays, numbers that are not finite) stands as {"$msgpack": base64 of its msgpack}.
+What JSON cannot express (bytes, arrays, numbers that are not finite) becomes {"$msgpack": base64 of its msgpack}.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def info_from_json(text: str) -> dict[str, Any]:
     """Reads what `info_to_json` made, or any JSON object.
 
     Raises:
-        Invalid: Not JSON, no object, or base64 that is none.
+        Invalid: Not JSON, not an object, or invalid base64.
     """
     try:
         value = json.loads(text)
@@ -42,12 +42,12 @@ def info_from_json(text: str) -> dict[str, Any]:
 
 
 def reported_info(text: str) -> tuple[dict[str, Any], bool]:
-    """What a row's JSON says, as a trial may have it; and whether it had to be kept as bytes.
+    """The info of a row's JSON, and whether it had to be kept as bytes.
 
-    Earlier versions took info that is refused now, nested hundreds deep for one. It becomes {"$msgpack": bytes}.
+    Earlier versions accepted info that is refused now, e.g. nested hundreds deep. It becomes {"$msgpack": bytes}.
 
     Raises:
-        Invalid: No version took it, or it is no JSON object.
+        Invalid: No version accepts it, or it is not a JSON object.
     """
     if not text:
         return {}, False
@@ -65,7 +65,7 @@ def reported_info(text: str) -> tuple[dict[str, Any], bool]:
 
 
 def _plain(value: Any, depth: int = 1) -> Any:
-    if depth <= MAX_INFO_DEPTH:  # deeper is what an earlier version took, and becomes bytes
+    if depth <= MAX_INFO_DEPTH:  # deeper info, from an earlier version, becomes bytes
         if isinstance(value, Mapping) and _ODD not in value and all(isinstance(key, str) for key in value):
             return {key: _plain(entry, depth + 1) for key, entry in value.items()}
         if isinstance(value, list | tuple):
@@ -81,5 +81,5 @@ def _restored(value: Any) -> Any:
     if not isinstance(value, dict):
         return value
     if value.keys() == {_ODD} and isinstance(value[_ODD], str):
-        return unpack(base64.b64decode(value[_ODD], validate=True)).get(_ODD)
+        return unpack(base64.b64decode(value[_ODD], validate=True), depth=None).get(_ODD)
     return {key: _restored(entry) for key, entry in value.items()}

@@ -20,7 +20,7 @@ __all__ = ["ColumnType", "FileRow", "Layout"]
 ColumnType = Literal["int", "float", "text", "flag"]
 
 _REQUIRED: Final[Mapping[str, ColumnType]] = {"id": "text", "kind": "text", "success": "flag", "cost": "float"}
-# The server's own: an import gets new ones, and reads none.
+# The server's own; an import ignores them and gets new ones.
 _WRITTEN: Final[Mapping[str, ColumnType]] = {"seq": "int", "time": "float"}
 _OPTIONAL: Final[Mapping[str, ColumnType]] = {
     "worker": "text",
@@ -43,10 +43,10 @@ class FileRow:
     """One trial of a file.
 
     Attributes:
-        number: Its row, from 1.
-        trial: What was reported, with the cost that held when it was written.
-        removed: It had been taken out of learning.
-        packed: Its `info`, taken by an earlier version, is one that no trial may have now; it is kept as bytes.
+        number: The row's number, from 1.
+        trial: The trial, with its cost at the time of writing.
+        removed: Whether it had been removed from the model.
+        packed: Whether its `info` is valid only in an earlier version; it is kept as bytes.
     """
 
     number: int
@@ -65,7 +65,7 @@ class Layout:
         goal: Names of its p columns.
         outcome: Names of its q columns.
         types: Every column that is written, with the type of its values; any may be empty.
-        read: Those that are read.
+        read: The columns that are read.
     """
 
     def __init__(self, spec: TaskSpec) -> None:
@@ -78,10 +78,10 @@ class Layout:
         self.types: Final[Mapping[str, ColumnType]] = {**_REQUIRED, **numbers, **_WRITTEN, **_OPTIONAL}
 
     def check(self, found: Collection[str]) -> None:
-        """Looks at a file's columns; those that mean nothing here are ignored.
+        """Checks a file's columns; unknown ones are ignored.
 
         Raises:
-            Invalid: One is missing or comes twice, or there are coordinates that the task has not.
+            Invalid: A column is missing or comes twice, or is a coordinate that the task does not have.
         """
         missing = [name for name in (*_REQUIRED, *self.state, *self.goal) if name not in found]
         if missing:
@@ -91,10 +91,10 @@ class Layout:
             raise Invalid(f"column {twice[0]!r} comes twice; leave one out")
         for name in found:
             if name.startswith(("state.", "goal.", "outcome.")) and name not in self.types:
-                raise Invalid(f"column {name!r} is no coordinate of task {self.spec.name!r}")
+                raise Invalid(f"column {name!r} is not a coordinate of task {self.spec.name!r}")
 
     def columns(self, stored: Sequence[StoredTrial]) -> dict[str, list[Any]]:
-        """Values by column, None where there is none."""
+        """Values by column, None where a trial has no value."""
         trials = [one.trial for one in stored]
         return {
             "id": [str(trial.id) for trial in trials],
@@ -116,7 +116,7 @@ class Layout:
         """Checks one row's values by column.
 
         Raises:
-            Invalid: A value that no trial of the task can have; the message names the row and the column.
+            Invalid: A value that a trial of the task cannot have; the message names row and column.
         """
         try:
             cells = {name: _cell(name, kind, values.get(name)) for name, kind in self.read.items()}
@@ -129,10 +129,10 @@ class Layout:
             raise Invalid(f"row {number}{separator}{error.message}", details=details) from error
 
     def parsed(self, number: int, name: str, text: str | None) -> object:
-        """What a cell of text says; one that is empty says nothing, unless it is text that is wanted.
+        """The value of a text cell; None for an empty cell, except in columns of text.
 
         Raises:
-            Invalid: It is none of the column's type; the message names row and column.
+            Invalid: It is not of the column's type; the message names row and column.
         """
         kind = self.read[name]
         if text is None or kind == "text":
@@ -174,15 +174,15 @@ def _by_coordinate(names: Sequence[str], rows: Sequence[Sequence[float | None]])
 
 
 def _numbers(trial: Trial, count: int) -> list[float | None]:
-    """The outcome; none at all is told from numbers that were not observed, which are NaN."""
+    """The outcome; None for a trial without one, NaN for numbers that were not observed."""
     return [None] * count if trial.outcome is None else list(trial.outcome.tolist())
 
 
 def _cell(name: str, kind: ColumnType, value: Any) -> Any:
-    """A value as what its column holds; data frames make 3.0 of 3 and of a truth value, and NaN of what is not there.
+    """A value in its column's type. Data frames turn 3 and truth values into floats, and gaps into NaN.
 
     Raises:
-        Invalid: It is of another type; the message names the column.
+        Invalid: It has another type; the message names the column.
     """
     if type(value) is float and value == value and kind == "float":  # nearly every cell
         return value

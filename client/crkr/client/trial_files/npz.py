@@ -1,8 +1,8 @@
 """Trials in NumPy's npz: coordinates as matrices (n, d), (n, p) and (n, q), everything else as one array a column.
 
 No pickle: text is an array of text, and `info` is UTF-8 bytes, a line of JSON for each trial and an empty one for none.
-Arrays are read a few rows at a time, after their headers were compared with what the archive holds, and only those that
-a trial is made of.
+Arrays are read a few rows at a time, after their headers are compared with the archive's sizes, and only arrays that
+belong to trials.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ __all__ = ["NpzSink", "npz_source"]
 # How a column's gaps are written.
 _GAPS: Final[Mapping[str, Any]] = {"int": -1, "float": np.nan, "text": "", "flag": False}
 _DTYPES: Final[Mapping[str, Any]] = {"int": np.int64, "float": np.float64, "text": np.str_, "flag": np.bool_}
-_GIVEN: Final = ("outcome_given", "worker_given")  # tell a gap from NaN everywhere, and from an empty name
+_GIVEN: Final = ("outcome_given", "worker_given")  # tell a gap from an outcome of only NaN, and from an empty name
 _ROWS: Final = 4096  # read together
 _LONGEST_LINE: Final = 2**20  # bytes of a trial's info
 _WIDEST: Final = 2**16  # bytes of a row of one array
-_MOST_WHOLE: Final = 2**28  # bytes of an array that has to be read at once, as its rows are not together
+_MOST_WHOLE: Final = 2**28  # bytes of an array in column order, which is read at once
 
 
 @final
@@ -44,7 +44,7 @@ class NpzSink:
         self._columns: dict[str, list[Any]] = {name: [] for name in layout.types}
 
     def write(self, columns: Mapping[str, Sequence[Any]]) -> None:
-        """Takes values by column."""
+        """Adds rows, given as values by column."""
         for name, values in columns.items():
             self._columns[name] += values
 
@@ -69,12 +69,12 @@ class NpzSink:
 
 @final
 class _Member:
-    """An array of an archive, read from its beginning on.
+    """An array of an archive, read from its beginning.
 
     Attributes:
         name: Without ".npy".
-        shape: As its header says, and as there are bytes for.
-        dtype: Of its entries.
+        shape: Its shape, checked against the number of bytes.
+        dtype: The type of its entries.
     """
 
     def __init__(self, archive: zipfile.ZipFile, name: str) -> None:
@@ -116,12 +116,12 @@ class _Member:
 
 
 def npz_source(path: Path, layout: Layout) -> tuple[int, Iterator[Mapping[str, Any]]]:
-    """How many rows there are, and each by column.
+    """The number of rows, and the rows, each by column.
 
     Raises:
-        Invalid: Not npz, arrays of other shapes, or of coordinates that the task has not.
+        Invalid: Not npz, arrays of other shapes, or coordinates that the task does not have.
     """
-    with _complaints():
+    with _content_errors():
         archive = zipfile.ZipFile(path)
         names = {name.removesuffix(".npy") for name in archive.namelist() if name.endswith(".npy")}
         asked = [name for name in (*layout.read, *_groups(layout), *_GIVEN) if name in names]
@@ -142,13 +142,13 @@ def npz_source(path: Path, layout: Layout) -> tuple[int, Iterator[Mapping[str, A
 
 
 def _header(stream: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
-    """Shape, whether by columns, and type."""
+    """Shape, whether in column order, and type."""
     version = np.lib.format.read_magic(stream)
     if version not in ((1, 0), (2, 0)):
         raise ValueError(f"an array has format {version}")
     read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of headers that Python 2 wrote
+        warnings.simplefilter("ignore")  # about headers of Python 2
         shape, is_fortran, dtype = read(stream)
     if any(size < 0 for size in shape):
         raise ValueError(f"an array has shape {shape}")
@@ -165,7 +165,7 @@ def _array(values: Sequence[Any], kind: str) -> NDArray[Any]:
 
 
 def _coordinates(archive: zipfile.ZipFile, names: set[str], matrix: _Member, own: Sequence[str]) -> list[str]:
-    """What a matrix's columns are."""
+    """Names of a matrix's columns."""
     group, shape = matrix.name, matrix.shape
     if group == "outcome" and len(shape) == 2 and not shape[1]:
         return []
@@ -173,7 +173,7 @@ def _coordinates(archive: zipfile.ZipFile, names: set[str], matrix: _Member, own
         raise Invalid(f"{group} must be a matrix of numbers; got shape {shape} of {matrix.dtype}")
     given = [name.partition(".")[2] for name in own]
     if f"{group}_names" in names:
-        with _complaints():
+        with _content_errors():
             member = _Member(archive, f"{group}_names")
             if len(member.shape) != 1 or member.shape[0] > _ROWS or member.dtype.kind != "U":
                 raise Invalid(f"{group}_names must be a list of text; got shape {member.shape} of {member.dtype}")
@@ -184,8 +184,8 @@ def _coordinates(archive: zipfile.ZipFile, names: set[str], matrix: _Member, own
 
 
 def _info(archive: zipfile.ZipFile, count: int) -> IO[bytes]:
-    """The lines of `info`, as many as there are trials."""
-    with _complaints():
+    """The lines of `info`, one for each trial."""
+    with _content_errors():
         member = _Member(archive, "info")
         if len(member.shape) != 1 or member.dtype.itemsize != 1:
             raise Invalid(f"info must be bytes; got shape {member.shape} of {member.dtype}")
@@ -207,7 +207,7 @@ def _rows(
 ) -> Iterator[Mapping[str, Any]]:
     with archive:
         for first in range(0, count, _ROWS):
-            with _complaints():
+            with _content_errors():
                 chunk = {name: member.read(min(_ROWS, count - first)).tolist() for name, member in members.items()}
             for place in range(min(_ROWS, count - first)):
                 row: dict[str, Any] = {}
@@ -232,7 +232,7 @@ def _rows(
 
 
 def _given(row: dict[str, Any], name: str, number: int, *, unknown: bool) -> bool:
-    """Whether a row has what could also be taken for a gap; takes the mark out of it."""
+    """Whether a row has a value where it looks like a gap; removes the mark."""
     mark = f"{name}_given"
     given = row.pop(mark, unknown)
     try:
@@ -242,7 +242,7 @@ def _given(row: dict[str, Any], name: str, number: int, *, unknown: bool) -> boo
 
 
 def _line(info: IO[bytes], number: int) -> str:
-    with _complaints():
+    with _content_errors():
         line = info.readline(_LONGEST_LINE)
     if not line.endswith(b"\n"):
         raise Invalid(f"row {number}, column 'info': it has more than {_LONGEST_LINE} bytes")
@@ -253,15 +253,15 @@ def _line(info: IO[bytes], number: int) -> str:
 
 
 @contextmanager
-def _complaints() -> Iterator[None]:
-    """Turns whatever the readers of zip archives and of arrays say of a damaged file into `Invalid`."""
+def _content_errors() -> Iterator[None]:
+    """Turns errors of the readers of zip archives and arrays into `Invalid`."""
     try:
         yield
     except OSError as error:
-        if error.errno not in (None, errno.EINVAL):  # of the disk, not of a place that the file names
+        if error.errno not in (None, errno.EINVAL):  # an error of the disk, not of the content
             raise
         raise Invalid(f"it is not npz: {error}") from error
     except CrkrError:
         raise
-    except Exception as error:  # they evaluate a header as Python, and so raise all that a parser may
+    except Exception as error:  # the header is parsed as Python, so errors of any kind occur
         raise Invalid(f"it is not npz: {error or type(error).__name__}") from error

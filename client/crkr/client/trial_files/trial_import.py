@@ -1,4 +1,4 @@
-"""Reports a file's trials to a task, under the ids that they have, so that doing it again changes nothing."""
+"""Reports a file's trials to a task under their own ids, so that a second import changes nothing."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ _BATCH_BYTES: Final = 2**20
 @final
 @dataclass(frozen=True, slots=True)
 class Imported:
-    """What became of a file.
+    """The result of an import.
 
     Attributes:
-        accepted: Trials that the task had not.
-        duplicates: Trials that it had.
-        removed: Trials that were taken out of learning, as they were where the file comes from.
-        packed: Trials whose `info` was taken by an earlier version, but could not be now; it is kept as bytes.
+        accepted: Trials that were new to the task.
+        duplicates: Trials that it had already.
+        removed: Trials that were removed from the model because the file marks them as removed.
+        packed: Trials whose `info` is valid only in an earlier version; it is kept as bytes.
     """
 
     accepted: int
@@ -45,7 +45,7 @@ class _Import:
         self.accepted = self.duplicates = 0
 
     def report(self, rows: Sequence[FileRow]) -> None:
-        """Stores a batch and waits until it is learned from, so that no backlog stands in other clients' way."""
+        """Stores a batch and waits until the model includes it, so that other clients do not wait behind a backlog."""
         try:
             receipt = self._task.report_trials([row.trial for row in rows], wait=True, timeout_s=self._timeout_s)
         except Conflict as conflict:
@@ -60,13 +60,13 @@ class _Import:
         self.duplicates += receipt.duplicates
 
     def _present(self) -> dict[UUID, bytes]:
-        """The content that every trial has now: the server compares with what was reported, before any new cost."""
+        """The present content of every trial; the server compares with the first report, before any new cost."""
         if self._known is None:
             self._known = {stored.trial.id: _content(stored.trial) for stored in self._task.iter_samples()}
         return self._known
 
     def remove(self, ids: Sequence[UUID]) -> int:
-        """Takes trials out of learning that still are in."""
+        """Removes trials that are still in the model; returns how many."""
         if not ids:
             return 0
         gone = {stored.trial.id for stored in self._task.iter_samples() if stored.removed}
@@ -83,10 +83,10 @@ def import_rows(
     """Reports rows in their order, in batches.
 
     Args:
-        task: Where to.
+        task: The task.
         rows: The trials.
         timeout_s: Deadline of each batch [s].
-        progress: Told how many rows are done.
+        progress: Called with the number of rows done.
 
     Raises:
         Conflict: The task has a trial of the same id with other content; the message names the row. The batches
@@ -118,19 +118,19 @@ def _batches(rows: Iterable[FileRow]) -> Iterator[list[FileRow]]:
 
 
 def _content(trial: Trial) -> bytes:
-    """A digest that takes an outcome of NaN alone for none: data frames write both as empty cells."""
+    """A digest that treats an outcome of only NaN as absent: data frames write both as empty cells."""
     unseen = trial.outcome is not None and bool(np.isnan(trial.outcome).all())
     return (replace(trial, outcome=None) if unseen else trial).digest()
 
 
 def _size(trial: Trial) -> int:
-    """About how many bytes it takes in a message."""
+    """Approximate bytes in a message."""
     numbers = len(trial.state) + len(trial.goal) + (0 if trial.outcome is None else len(trial.outcome))
     return 8 * numbers + (len(pack(trial.info)) if trial.info else 0)
 
 
 def _in_row(conflict: Conflict, rows: Sequence[FileRow]) -> Conflict | Invalid:
-    """The same conflict with the last row of that id, which is the one that differs."""
+    """The conflict with the number of its row: the last row of that id is the one that differs."""
     numbers = {row.trial.id: row.number for row in rows}
     number = numbers.get(conflict.details.get("id", UUID(int=0)))
     if number is None:

@@ -1,9 +1,9 @@
-"""From the arguments of `report`, in process or remote, to checked trials."""
+"""The arguments of `report`, in process or remote, and the trials that they mean."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, TypedDict, Unpack
 from uuid import UUID, uuid4
 
 import numpy as np
@@ -15,47 +15,59 @@ from crkr.protocol.messages.predict import Prediction, check_states
 from crkr.protocol.specification.task_spec import TaskSpec
 from crkr.protocol.trial import Trial
 
-__all__ = ["make_trials"]
+__all__ = ["TrialFields", "make_trials"]
 
 
-def make_trials(
-    spec: TaskSpec,
-    answer: Prediction | None = None,
-    *,
-    state: Any = None,
-    goal: Any = None,
-    cost: Any,
-    success: Any,
-    kind: str = "trial",
-    id: UUID | bytes | Sequence[UUID | bytes] | None = None,  # noqa: A002 - the protocol's word
-    outcome: Any = None,
-    worker: str | None = None,
-    model_version: int | None = None,
-    info: Mapping[str, Any] | Sequence[Mapping[str, Any]] | None = None,
-) -> tuple[Trial, ...]:
-    """The trials that the arguments of `report` mean, for one or for a batch.
+class _Measured(TypedDict):
+    cost: object
+    success: object
+
+
+class TrialFields(_Measured, total=False):
+    """The arguments of every `report`, in process or remote, for one trial or for a batch of b.
+
+    Attributes:
+        state: (d,) or (b, d); may be absent where an answer of `predict` is given, and so may `goal`.
+        goal: (p,) or (b, p) executed, within the bounds; overrides the answer's goals.
+        cost: In [0, 1], one or b; None for kind "failed".
+        success: One flag, or b.
+        kind: "trial", "demonstration", "evaluation" or "failed", for all of them; "trial" unless given.
+        id: One id, or b; the answer's, or new ones, unless given.
+        outcome: (q,) or (b, q) measured, NaN where not observed.
+        worker: Name of the reporting process.
+        model_version: The model that proposed the goals; the answer's unless given.
+        info: Plain data to keep: one map for all, or b of them.
+    """
+
+    state: object
+    goal: object
+    kind: str
+    id: UUID | bytes | Sequence[UUID | bytes] | None
+    outcome: object
+    worker: str | None
+    model_version: int | None
+    info: Mapping[str, Any] | Sequence[Mapping[str, Any]] | None
+
+
+def make_trials(spec: TaskSpec, answer: Prediction | None = None, **fields: Unpack[TrialFields]) -> tuple[Trial, ...]:
+    """Checks the arguments of `report` and makes trials of them.
 
     Args:
         spec: The task.
-        answer: The prediction that was tried: gives state, goal, ids and model_version.
-        state: (d,) or (b, d) where there is no answer.
-        goal: (p,) or (b, p) that was executed; overrides the answer's goals.
-        cost: One cost in [0, 1] or None, or b of them.
-        success: One flag, or b of them.
-        kind: The kind of all of them.
-        id: One id, or b of them; the answer's, or random ones, where absent.
-        outcome: (q,) or (b, q), or None.
-        worker: Who reports.
-        model_version: The model that proposed the goals.
-        info: One map for all, or b of them.
+        answer: The prediction that was tried; gives state, goal, ids and model_version.
+        fields: What was done and how it went, see `TrialFields`.
 
     Raises:
         Invalid: Neither answer nor state and goal, sizes that disagree, or a value that is not allowed.
+        TypeError: An argument is unknown, or cost or success is missing.
     """
+    _check_names(fields)
+    state, goal, ids = fields.get("state"), fields.get("goal"), fields.get("id")
+    outcome, model_version = fields.get("outcome"), fields.get("model_version")
     if answer is not None:
         state = answer.states if state is None else state
         goal = answer.goals if goal is None else goal
-        id = answer.trial_ids if id is None else id  # noqa: A001 - as above
+        ids = answer.trial_ids if ids is None else ids
         model_version = answer.model_version if model_version is None else model_version
     if state is None or goal is None:
         raise Invalid("report needs an answer of predict, or both state and goal")
@@ -66,25 +78,33 @@ def make_trials(
     outcomes = None
     if outcome is not None:
         outcomes = finite_array(outcome, "outcome", (*leading, len(spec.outcome)), allow_nan=True).reshape(count, -1)
-    ids = [uuid4() for _ in range(count)] if id is None else _one_each(id, "id", count)
-    costs, successes = _one_each(cost, "cost", count), _one_each(success, "success", count)
-    infos = _one_each(info, "info", count)
+    each_id = [uuid4() for _ in range(count)] if ids is None else _one_each(ids, "id", count)
+    costs, successes = _one_each(fields["cost"], "cost", count), _one_each(fields["success"], "success", count)
+    infos = _one_each(fields.get("info"), "info", count)
     return tuple(
         Trial.create(
             spec,
-            id=id_from_wire(ids[i]),
+            id=id_from_wire(each_id[i]),
             state=states.reshape(count, -1)[i],
             goal=goals.reshape(count, -1)[i],
             cost=costs[i],
             success=successes[i],
-            kind=kind,
+            kind=fields.get("kind", "trial"),
             outcome=None if outcomes is None else outcomes[i],
-            worker=worker,
+            worker=fields.get("worker"),
             model_version=model_version,
             info=infos[i],
         )
         for i in range(count)
     )
+
+
+def _check_names(fields: TrialFields) -> None:
+    """Raises `TypeError` as a signature with these names would."""
+    if unknown := fields.keys() - TrialFields.__annotations__.keys():
+        raise TypeError(f"report() got an unexpected keyword argument {min(unknown)!r}")
+    if missing := TrialFields.__required_keys__ - fields.keys():
+        raise TypeError(f"report() needs the keyword arguments: {', '.join(sorted(missing))}")
 
 
 def _one_each(value: Any, name: str, count: int) -> list[Any]:

@@ -32,7 +32,7 @@ def policy(
     Example: crkr plot policy table-tennis --vary ball_y --out policy.png
     """
     from crkr.client import Client
-    from crkr.client.cli.vectors import parse_vector
+    from crkr.client.cli.options import parse_vector
     from crkr.sim_worker.figure import check_figure
     from crkr.sim_worker.table_tennis.pictures.policy_figure import draw_policy, varied
 

@@ -47,8 +47,8 @@ def render(
     """
     from crkr.client import Client
     from crkr.client.cli.error_lines import require
+    from crkr.client.cli.options import parse_ids
     from crkr.client.cli.output_file import check_output
-    from crkr.client.cli.vectors import parse_ids
     from crkr.sim_worker.skill import SkillOptions
 
     if trial is not None and (launcher is not None or seed or ball):

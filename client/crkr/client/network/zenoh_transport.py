@@ -1,10 +1,10 @@
-"""The client's only view of Zenoh: a query is bytes to bytes by a deadline, a publication is bytes that may be lost.
+"""The transport over Zenoh: a query is bytes to bytes by a deadline, a publication is bytes that may be lost.
 
 reply                                what the transport does
 ok                                   returns its bytes
 error BUSY, SHUTTING_DOWN            waits as told, sends the same bytes again
 other error                          raises its exception
-none (EMPTY) or Zenoh's "Timeout"    outcome unknown: sends the same bytes again
+no reply, or Zenoh's own "Timeout"    outcome unknown: sends the same bytes again
 deadline reached                     raises Unavailable
 """
 
@@ -14,13 +14,18 @@ import logging
 import os
 import random
 import time
+from collections.abc import Sequence
 from typing import Final, final
 
 import zenoh
 
+from crkr.client.lifetimes import Closing
 from crkr.client.network.config import Connection, brief
 from crkr.client.network.diagnosis import silence_of
+from crkr.client.network.presence import Presence
+from crkr.client.network.role import Role
 from crkr.client.network.session import NotConnected, Session
+from crkr.client.network.subscription import Subscription
 from crkr.client.network.trust import EVERYONE, NotTheServer, Trust
 from crkr.protocol import (
     MAX_MESSAGE_BYTES,
@@ -37,7 +42,7 @@ from crkr.protocol import (
 )
 from crkr.protocol.messages.call_metadata import CallMetadata
 
-__all__ = ["Transport"]
+__all__ = ["ZenohTransport"]
 
 _logger = logging.getLogger(__name__)
 _FIRST_ATTEMPT_S: Final = 0.5
@@ -48,7 +53,7 @@ _LOOK_AGAIN_S: Final = 1.0
 
 
 class _Unanswered(Exception):
-    """This attempt brought no answer; `pause_s` is when the server asked to be tried again."""
+    """This attempt brought no answer; `pause_s` is the pause that the server asked for."""
 
     def __init__(self, reason: str, pause_s: float | None = None) -> None:
         super().__init__(reason)
@@ -57,18 +62,18 @@ class _Unanswered(Exception):
 
 
 @final
-class Transport:
+class ZenohTransport(Closing):
     """Queries and publications over one session; safe to use from many threads.
 
     Attributes:
-        session: The Zenoh session beneath.
+        session: The Zenoh session.
     """
 
     def __init__(self, connection: Connection) -> None:
         self.session: Final = Session(connection)
         self._trust = Trust()
         self._found: tuple[float, str] | None = None
-        self._client = os.urandom(16)  # tells the server which calls are one client's
+        self._client = os.urandom(16)  # tells the server which calls come from this client
 
     @property
     def endpoint(self) -> str:
@@ -77,28 +82,16 @@ class Transport:
 
     @property
     def strangers(self) -> int:
-        """Answers that were ignored, as they came from another client and not from the server."""
+        """Answers that were ignored because they came from another client."""
         return self._trust.strangers
 
     def query(
         self, key: str, kind: str, payload: bytes, deadline: float, *, patient: bool = False, optional: bool = False
     ) -> bytes:
-        """Sends a query until it is answered.
+        """As `Transport.query`.
 
-        Args:
-            key: Where to.
-            kind: Name of the message for its encoding, e.g. "predict".
-            payload: The message; the same bytes in every attempt.
-            deadline: When to give up [s, monotonic clock].
-            patient: One attempt may take all the time: for calls that work long. A lost connection still ends it. The
-                server is told how long the attempt lasts, and drops what would be answered too late.
-            optional: Give up at once where nobody serves the key: the caller knows another way.
-
-        Raises:
-            Invalid: The message is too large.
-            Unavailable: No answer in time; whether the request was executed is unknown.
-            Unsupported: Nobody serves an optional key.
-            CrkrError: The server's typed error.
+        The server is told how long a patient attempt lasts, and drops what it would answer too late. A lost connection
+        ends such an attempt too.
         """
         if len(payload) > MAX_MESSAGE_BYTES:
             raise Invalid(f"{kind} message has {len(payload)} bytes; the limit is {MAX_MESSAGE_BYTES}: split it")
@@ -113,7 +106,8 @@ class Transport:
             try:
                 return self._attempt(key, kind, payload, min(limit, remaining), patient=patient, optional=optional)
             except _Unanswered as unanswered:
-                reason = unanswered.reason
+                if attempt == 0 or limit <= remaining:  # one that the deadline cut short tells less
+                    reason = unanswered.reason
                 pause = _pause(attempt) if unanswered.pause_s is None else unanswered.pause_s
                 if attempt == 0:
                     _logger.info("%s at %s: %s; trying again", key, self.endpoint, reason)
@@ -126,7 +120,7 @@ class Transport:
         try:
             session = self.session.open(time.monotonic() + timeout_s)
             told = CallMetadata(self._client, max(1, int(1000 * timeout_s))).to_bytes() if patient else None
-            with self.session.inside:
+            with self.session.calls:
                 replies = session.get(
                     key,
                     zenoh.handlers.FifoChannel(4),
@@ -155,10 +149,10 @@ class Transport:
             return brief(error)
         if not session.info.routers_zid():
             return "not connected"
-        return self._whom(session, patience_s)
+        return self._why_silent(session, patience_s)
 
-    def _whom(self, session: zenoh.Session, patience_s: float) -> str:
-        """What it is that is connected and does not answer; looked at once a second."""
+    def _why_silent(self, session: zenoh.Session, patience_s: float) -> str:
+        """Why the connected router does not answer; checked once a second."""
         now = time.monotonic()
         if self._found is None or now - self._found[0] > _LOOK_AGAIN_S:
             self._found = now, silence_of(session, patience_s)
@@ -187,7 +181,7 @@ class Transport:
         )
 
     def publish(self, key: str, kind: str, payload: bytes) -> None:
-        """Publishes if there is a connection, and drops it where there is none or it is congested; never waits."""
+        """As `Transport.publish`; without a connection, or with a congested one, the message is dropped."""
         session = self.session.peek()
         if session is None:
             _logger.debug("not connected: dropped a publication on %s", key)
@@ -198,13 +192,25 @@ class Transport:
                 payload,
                 encoding=encoding(kind),
                 congestion_control=zenoh.CongestionControl.DROP,
-                priority=zenoh.Priority.DATA_LOW,  # a picture never delays a report
+                priority=zenoh.Priority.DATA_LOW,  # below reports
             )
         except zenoh.ZError as error:
             _logger.debug("dropped a publication on %s: %s", key, brief(error))
 
+    def subscribe(self, task: str, topics: Sequence[str], capacity: int, deadline: float) -> Subscription:
+        """As `Transport.subscribe`."""
+        return Subscription(self.connect(deadline), task, topics, capacity)
+
+    def announce(self, task: str, worker_id: str, deadline: float) -> Presence:
+        """As `Transport.announce`."""
+        return Presence.announce(self.connect, self.session, task, worker_id, deadline)
+
+    def take_role(self, task: str, role: str, deadline: float) -> Role | None:
+        """As `Transport.take_role`."""
+        return Role.take(self.connect, self.session, task, role, deadline)
+
     def connect(self, deadline: float) -> zenoh.Session:
-        """The open session, for tokens and subscriptions.
+        """The open session.
 
         Raises:
             Unavailable: No connection by the deadline.
@@ -228,17 +234,17 @@ class Transport:
 
 
 def _is_empty(error: zenoh.ZError) -> bool:
-    """Whether the question came to its end without a reply."""
+    """Whether the question ended without a reply."""
     return "empty and closed" in str(error)
 
 
 def _nobody_serves(session: zenoh.Session, error: zenoh.ZError) -> bool:
-    """Whether a server is there and has nothing under the key, or denies it to this client."""
+    """Whether a router is connected and serves nothing under the key, or denies it to this client."""
     return _is_empty(error) and not session.is_closed() and bool(session.info.routers_zid())
 
 
 def _pause(attempt: int) -> float:
-    """Doubling pauses with jitter, so that a fleet does not come back in step."""
+    """Doubling pauses with jitter, so that many clients do not return at the same moment."""
     return min(_LONGEST_PAUSE_S, _FIRST_PAUSE_S * 2.0 ** min(attempt, 10)) * random.uniform(0.75, 1.25)
 
 
@@ -249,7 +255,7 @@ def _open_reply(reply: zenoh.Reply, key: str) -> bytes:
     if reply.err is None:
         raise _Unanswered("an empty reply")
     body = reply.err.payload.to_bytes()
-    if body == b"Timeout":  # Zenoh's own, when the attempt's time is over
+    if body == b"Timeout":  # Zenoh's own, at the end of the attempt
         raise _Unanswered("connected, but no reply in time")
     try:
         error = error_from_wire(unpack(body))

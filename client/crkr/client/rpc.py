@@ -1,36 +1,33 @@
-"""Calls: a message map out, a message map back, by a deadline."""
+"""Calls: send a map, receive a map, by a deadline."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from types import TracebackType
 from typing import Any, Final, final
 from uuid import UUID
 
 import numpy as np
 
-from crkr.client.network.transport import Transport
+from crkr.client.checks import answer_to, plain, positive
+from crkr.client.transport import Transport
 from crkr.protocol import (
     ADMIN_VERBS,
     CrkrError,
-    Internal,
     Invalid,
-    array_from_wire,
     id_from_wire,
     pack,
     rpc_key,
     unpack,
 )
 from crkr.protocol.checks import entries, integer
-from crkr.protocol.codec import MAX_DEPTH
 
-__all__ = ["Rpc", "plain", "positive", "reading"]
+__all__ = ["Rpc"]
 
-# Verbs whose work may take longer than one ordinary attempt: asking again would only double it.
-_PATIENT: Final = frozenset({*ADMIN_VERBS, "samples", "explain", "model"})
-_MANY: Final = 16  # states or trials of one message, from which on it may take long too
+# Verbs that may take longer than one ordinary attempt; a repeated attempt would only double the work.
+_PATIENT: Final = frozenset({*ADMIN_VERBS, "create_task", "explain", "model", "samples"})
+_MANY: Final = 16  # states or trials in a message; larger messages may take long too
 _PAGE: Final = 1000  # tasks
 
 
@@ -39,7 +36,7 @@ class Rpc:
     """Calls with a default deadline over a transport.
 
     Attributes:
-        transport: What carries them.
+        transport: Carries the messages.
         timeout_s: Deadline of a call that names none [s].
     """
 
@@ -63,8 +60,8 @@ class Rpc:
         verb = key.rpartition("/")[2]
         patient = _may_take_long(verb, message)
         reply = self.exchange(key, verb, pack(message), timeout_s, patient=patient, optional=optional)
-        with reading(verb):
-            return unpack(reply, depth=None)  # it may hold what was stored before there was a limit
+        with answer_to(verb):
+            return unpack(reply, depth=None)  # data of earlier versions may be nested deeper
 
     def exchange(
         self,
@@ -76,7 +73,7 @@ class Rpc:
         patient: bool = False,
         optional: bool = False,
     ) -> bytes:
-        """The same in bytes. Raises what `call` does.
+        """As `call`, with packed messages.
 
         Args:
             key: Where to.
@@ -90,33 +87,33 @@ class Rpc:
         try:
             return self.transport.query(key, verb, payload, deadline, patient=patient, optional=optional)
         except CrkrError as error:
-            with suppress(Invalid):  # details that cannot be read stay as they came
+            with suppress(Invalid):  # details that cannot be decoded stay as they are
                 error.details = plain(error.details)
             raise
 
     def task_page(self, after: int, timeout_s: float | None) -> tuple[list[Any], int | None]:
-        """Entries of the list of tasks past the first `after`, and where to go on (None at the end).
+        """One page of the list of tasks past the first `after`, and the next `after` (None at the end).
 
-        A server of version 0.1 knows no pages and sends all at once.
+        A server of version 0.1 sends all tasks as one page.
         """
         reply = self.call(rpc_key("tasks"), {"after": after, "limit": _PAGE}, timeout_s)
-        with reading("tasks"):
+        with answer_to("tasks"):
             page, following = entries(reply, "tasks"), reply.get("next")
             if following is not None and integer(following, "next") <= after:
                 raise Invalid(f"the page after {after} is followed by that after {following}")
             return page, following
 
     def task_pages(self, deadline: float) -> Iterator[list[Any]]:
-        """Every page of that list, by one deadline [s, monotonic clock]."""
+        """Every page of the list, by one deadline [s, monotonic clock]."""
         after: int | None = 0
         while after is not None:
             page, after = self.task_page(after, max(deadline - time.monotonic(), 0.001))
             yield page
 
-    def server_id(self, timeout_s: float) -> UUID:
-        """Which server answers; another id may come with other data, under the same names and versions."""
-        reply = self.call(rpc_key("info"), {"limit": 0}, timeout_s)  # without the names of its tasks
-        with reading("info"):
+    def server_id(self, timeout_s: float | None) -> UUID:
+        """The id of the server that answers. A server with another id may have other data under the same task names."""
+        reply = self.call(rpc_key("info"), {"limit": 0}, timeout_s)  # without task names
+        with answer_to("info"):
             return id_from_wire(reply.get("server_id"), "server_id")
 
 
@@ -127,44 +124,3 @@ def _may_take_long(verb: str, message: Mapping[str, Any]) -> bool:
     if isinstance(states, np.ndarray):
         return states.ndim > 1 and len(states) > _MANY
     return isinstance(trials, list) and len(trials) > _MANY
-
-
-@final
-class reading:  # noqa: N801 - it reads as a phrase, `with reading(verb):`
-    """Turns a complaint about an answer into `Internal`: it is the server that is wrong, not the caller."""
-
-    __slots__ = ("_verb",)
-
-    def __init__(self, verb: str) -> None:
-        self._verb = verb
-
-    def __enter__(self) -> None:
-        pass
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None) -> None:
-        if isinstance(error, Invalid | TypeError | ValueError | KeyError | AttributeError):
-            raise Internal(f"the server's answer to {self._verb} cannot be read: {error}") from error
-
-
-def plain(value: Any, depth: int = MAX_DEPTH) -> Any:
-    """A decoded message with its array maps as arrays and its ids as UUIDs, all the way down.
-
-    Raises:
-        Invalid: An array map whose bytes and shape disagree; more than `depth` maps and lists in each other.
-    """
-    if depth < 0:
-        raise Invalid(f"a message is nested more than {MAX_DEPTH} deep")
-    if isinstance(value, Mapping):
-        if value.keys() >= {"shape", "dtype", "data"}:
-            return array_from_wire(value, "array")
-        return {key: plain(entry, depth - 1) for key, entry in value.items()}
-    if isinstance(value, list):
-        return [plain(entry, depth - 1) for entry in value]
-    return UUID(bytes=value) if isinstance(value, bytes) and len(value) == 16 else value
-
-
-def positive(timeout_s: float) -> float:
-    """The time [s] as a float; raises `Invalid` for one that is not positive and finite."""
-    if not isinstance(timeout_s, int | float) or not 0 < timeout_s < float("inf"):
-        raise Invalid(f"timeout_s must be a positive number of seconds; got {timeout_s!r}")
-    return float(timeout_s)

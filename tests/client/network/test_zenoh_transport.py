@@ -4,8 +4,9 @@ import logging
 import re
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from typing import Any
 from uuid import UUID
 
@@ -13,6 +14,9 @@ import msgpack
 import pytest
 
 from crkr.client import Client
+from crkr.client.network.config import Connection
+from crkr.client.network.zenoh_transport import ZenohTransport
+from crkr.client.rpc import Rpc
 from crkr.protocol import (
     MAX_MESSAGE_BYTES,
     Conflict,
@@ -33,6 +37,12 @@ BUSY = Exception({"code": "BUSY", "message": "queue full", "retry_ms": 5})
 LEAVING = Exception({"code": "SHUTTING_DOWN", "message": "leaving"})
 
 
+@contextmanager
+def rpc(endpoint: str, timeout_s: float = 5.0) -> Iterator[Rpc]:
+    with ZenohTransport(Connection.choose(endpoint, None)) as transport:
+        yield Rpc(transport, timeout_s)
+
+
 def test_an_answer_is_returned_and_the_question_says_what_it_is(make_peer: MakePeer) -> None:
     peer = make_peer([INFO])
     with Client(peer.endpoint) as client:
@@ -43,8 +53,8 @@ def test_an_answer_is_returned_and_the_question_says_what_it_is(make_peer: MakeP
 @pytest.mark.parametrize("first", [BUSY, LEAVING, "silence", "hold"], ids=["busy", "leaving", "silence", "timeout"])
 def test_an_attempt_without_an_answer_is_repeated_with_the_same_bytes(make_peer: MakePeer, first: object) -> None:
     peer = make_peer([first, {"goals": []}])
-    with Client(peer.endpoint) as client:
-        client._rpc.call("crkr/@v1/task/a/rpc/predict", {"states": [1.0]})
+    with rpc(peer.endpoint) as calls:
+        calls.call("crkr/@v1/task/a/rpc/predict", {"states": [1.0]})
     assert len(peer.queries) == 2
     assert peer.queries[0] == peer.queries[1]
 
@@ -77,7 +87,10 @@ def test_the_deadline_ends_it_with_an_error_that_names_endpoint_key_and_time(
 def test_a_server_that_is_not_there_is_named_in_one_line(free_port: int) -> None:
     with Client(f"tcp/127.0.0.1:{free_port}", timeout_s=0.2) as client, pytest.raises(Unavailable) as caught:
         client.info()
-    said = f"no server at tcp/127.0.0.1:{free_port} within 0.2 s; start one: crkr server, or ask why: crkr doctor"
+    tried = caught.value.details["tried_s"]
+    said = (
+        f"no server at tcp/127.0.0.1:{free_port} within {tried:.1f} s; start one: crkr server, or ask why: crkr doctor"
+    )
     assert caught.value.message == said
     assert caught.value.details["key"] == "crkr/@v1/rpc/info"
     assert caught.value.details["attempts"] >= 1
@@ -133,8 +146,8 @@ def test_an_answer_of_another_protocol_version_is_refused(make_peer: MakePeer) -
 
 def test_a_message_over_the_limit_never_leaves(make_peer: MakePeer) -> None:
     peer = make_peer([INFO])
-    with Client(peer.endpoint) as client, pytest.raises(Invalid, match="the limit is"):
-        client._rpc.call("crkr/@v1/task/a/rpc/report", {"trials": b"0" * MAX_MESSAGE_BYTES})
+    with rpc(peer.endpoint) as calls, pytest.raises(Invalid, match="the limit is"):
+        calls.call("crkr/@v1/task/a/rpc/report", {"trials": b"0" * MAX_MESSAGE_BYTES})
     assert peer.queries == []
 
 
@@ -168,7 +181,7 @@ class _Seen(logging.Handler):
 
 def test_a_client_may_be_there_before_its_server(make_peer: MakePeer, free_port: int) -> None:
     retrying = _Seen()
-    logger = logging.getLogger("crkr.client.network.transport")
+    logger = logging.getLogger("crkr.client.network.zenoh_transport")
     logger.addHandler(retrying)
     logger.setLevel(logging.INFO)
     try:
@@ -196,9 +209,9 @@ def test_a_session_outlives_its_server(make_peer: MakePeer) -> None:
 def test_threads_share_a_client_and_each_gets_its_own_answer(make_peer: MakePeer) -> None:
     peer: Any = None
     peer = make_peer(lambda number: msgpack.unpackb(peer.queries[number][1]))
-    with Client(peer.endpoint, timeout_s=20) as client, ThreadPoolExecutor(8) as pool:
+    with rpc(peer.endpoint, timeout_s=20) as calls, ThreadPoolExecutor(8) as pool:
         asked = [{"states": number} for number in range(400)]
-        answered = pool.map(lambda message: client._rpc.call("crkr/@v1/task/a/rpc/predict", message), asked)
+        answered = pool.map(lambda message: calls.call("crkr/@v1/task/a/rpc/predict", message), asked)
         assert list(answered) == asked
 
 

@@ -1,8 +1,7 @@
-"""A local copy of a task's policy: predictions without a network, and while there is none.
+"""A local copy of a task's policy, for predictions without the network.
 
-The server says with a notice that it has a new model; whoever missed it finds out within a second, by asking. A copy is
-fetched whole, made in the background, and put in place at once, so that a prediction never waits for one and never sees
-half of one.
+The server sends a notice when it has a new model; the mirror also asks every second, in case it missed one. A thread
+fetches the whole model and replaces the old one in one step, so predictions neither wait nor see half a model.
 """
 
 from __future__ import annotations
@@ -11,38 +10,44 @@ import logging
 import threading
 import time
 import weakref
-from collections.abc import Sequence
-from types import TracebackType
-from typing import TYPE_CHECKING, Final, final
+from collections.abc import Callable, Sequence
+from typing import Final, Unpack, final
 from uuid import UUID
 
-import numpy as np
-
-from crkr.client.goals import check_bounds
-from crkr.client.network.forks import check_not_forked, is_forked
-from crkr.client.network.rpc import Rpc, positive, reading
+from crkr.client.checks import positive
+from crkr.client.lifetimes import Closing, check_not_forked, is_forked
+from crkr.client.mirror.model_reader import ModelReader, ModelSource
 from crkr.client.network.subscription import Subscription
-from crkr.client.network.transport import Transport
+from crkr.client.rpc import Rpc
+from crkr.client.transport import Transport
 from crkr.learner import Model
-from crkr.protocol import Conflict, CrkrError, Internal, Invalid, Prediction, Unavailable, check_states, random_ids
-
-if TYPE_CHECKING:
-    from crkr.client.task import Task
+from crkr.protocol import (
+    Array,
+    CrkrError,
+    Internal,
+    Invalid,
+    Prediction,
+    Receipt,
+    TrialFields,
+    Unavailable,
+    check_states,
+    random_ids,
+)
 
 __all__ = ["Mirror"]
 
 _logger = logging.getLogger(__name__)
 _ATTEMPT_S: Final = 2.0  # to ask in the background
-_JOIN_S: Final = 0.2  # an attempt that nobody answers ends by itself
+_JOIN_S: Final = 0.2  # an unanswered attempt ends by itself
 _EXIT_S: Final = 1.0  # at the end of the interpreter, for predictions in progress
 
 
 @final
-class Mirror:
-    """Answers as the task does, from a copy that is refreshed in the background; safe to use from many threads.
+class Mirror(Closing):
+    """Answers as the task does, from a copy that is refreshed in the background; threads may share it.
 
-    Where outcomes guide the task's goals, the copy does without: it answers with the plain mean, or explores as the
-    paper does, as `policy` says.
+    The copy does not use outcomes. Where they guide the task's goals, it answers with the plain mean, or explores as
+    the paper does; `policy` says which.
 
     Attributes:
         name: The task's name.
@@ -50,8 +55,9 @@ class Mirror:
 
     def __init__(
         self,
-        task: Task,
+        task: ModelSource,
         rpc: Rpc,
+        check_bounds: Callable[[Array, Array], None],
         *,
         every_s: float = 1.0,
         pause_s: float = 0.1,
@@ -61,11 +67,12 @@ class Mirror:
         """Fetches the first copy; `Task.mirror` makes one.
 
         Args:
-            task: What is copied.
-            rpc: What asks which server it is.
-            every_s: Longest time between questions whether the copy is up to date [s]; a third of `max_age_s` at most.
-            pause_s: Shortest time between two copies [s]; a third of `max_age_s` at most.
-            max_age_s: From which age predictions are refused [s]; None: they never are.
+            task: The task to copy.
+            rpc: Asks which server answers.
+            check_bounds: Raises `Invalid` where a first copy's bounds of goals are not the task's.
+            every_s: Longest time between two checks for a new model [s]; at most a third of `max_age_s`.
+            pause_s: Shortest time between two copies [s]; at most a third of `max_age_s`.
+            max_age_s: Age from which predictions are refused [s]; None: never.
             timeout_s: Deadline of the first copy [s].
 
         Raises:
@@ -78,6 +85,7 @@ class Mirror:
                 raise Invalid(f"{name} must be a positive number of seconds; got {value!r}", details={"field": name})
         self.name: Final = task.name
         self._task, self._rpc, self._max_age_s = task, rpc, max_age_s
+        self._reader = ModelReader(task, rpc, check_bounds)
         at_most = float("inf") if max_age_s is None else max_age_s / 3.0
         self._every_s, self._pause_s = min(every_s, at_most), min(pause_s, at_most)
         self._changed = threading.Condition()
@@ -87,10 +95,10 @@ class Mirror:
         self._fault: CrkrError | None = None
         self._defects = 0
         self._refreshing = threading.Lock()
-        # Before the first copy, or what changes between the two would go unnoticed for a while.
+        # Before the first copy, or a change between the two would be noticed late.
         self._notices = task.subscribe(("model",), capacity=1, timeout_s=timeout_s)
         try:
-            self._model, self._server, self._confirmed = self._fetch(None, timeout_s)
+            self._model, self._confirmed = self._reader.fetch(None, timeout_s)
         except BaseException:
             self._notices.close()
             raise
@@ -101,7 +109,7 @@ class Mirror:
 
     @property
     def model(self) -> Model:
-        """The copy at hand, immutable."""
+        """The current copy, immutable."""
         return self._model
 
     @property
@@ -111,17 +119,17 @@ class Mirror:
 
     @property
     def age_s(self) -> float:
-        """Time since the server said for the last time that the copy is its model [s]."""
+        """Time since the server last confirmed that the copy is its model [s]."""
         return time.monotonic() - self._confirmed
 
     @property
     def fault(self) -> CrkrError | None:
-        """Why the copy could not be refreshed the last time; None: it was."""
+        """Why the last refresh failed; None: it did not."""
         return self._fault
 
     @property
     def defects(self) -> int:
-        """Refreshes that failed by no error of the protocol, but by a defect or for want of memory."""
+        """Refreshes that failed by a defect or for lack of memory, not by an error of the protocol."""
         return self._defects
 
     def predict(
@@ -148,13 +156,24 @@ class Mirror:
         finally:
             self._inside.pop(me, None)
 
+    def report(
+        self,
+        answer: Prediction | None = None,
+        *,
+        wait: bool = False,
+        timeout_s: float | None = None,
+        **trial: Unpack[TrialFields],
+    ) -> Receipt:
+        """Reports to the server, as `Task.report`; the copy has it after the next refresh."""
+        return self._task.report(answer, wait=wait, timeout_s=timeout_s, **trial)
+
     def refresh(self, timeout_s: float | None = None) -> bool:
-        """Asks now; whether there was a newer model.
+        """Asks now; returns whether there was a newer model.
 
         Raises:
             Unavailable: No answer by the deadline, or the mirror was closed.
-            UnknownTask: The server has no such task any more.
-            Conflict: It has another task of that name, with other states or goals.
+            UnknownTask: The server no longer has the task.
+            Conflict: The server has another task of that name, with other states or goals.
         """
         self._check_open()
         deadline = self._rpc.deadline(timeout_s)
@@ -162,9 +181,9 @@ class Mirror:
             raise Unavailable(f"another refresh of the local copy of task {self.name!r} was in progress")
         try:
             before = self._model
-            model, server, confirmed = self._fetch(before, max(deadline - time.monotonic(), 0.001))
+            model, confirmed = self._reader.fetch(before, max(deadline - time.monotonic(), 0.001))
             with self._changed:
-                self._model, self._server, self._confirmed, self._fault = model, server, confirmed, None
+                self._model, self._confirmed, self._fault = model, confirmed, None
                 self._changed.notify_all()
         except CrkrError as error:
             self._fault = error
@@ -178,7 +197,7 @@ class Mirror:
 
         Raises:
             Invalid: A time that is not positive and finite.
-            Unavailable: It has not by the deadline, or the mirror was closed.
+            Unavailable: Not by the deadline, or the mirror was closed.
         """
         check_not_forked()
         with self._changed:
@@ -192,7 +211,7 @@ class Mirror:
             )
 
     def close(self) -> None:
-        """Ends refreshing; idempotent. What was predicted stays valid."""
+        """Ends refreshing; a second call does nothing. Predictions stay valid."""
         if is_forked():
             return
         self._exit.detach()
@@ -210,22 +229,14 @@ class Mirror:
             f"age_s={self.age_s:.1f}, fault={fault}{f', defects={self._defects}' if self._defects else ''})"
         )
 
-    def __enter__(self) -> Mirror:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
     def _end_with_interpreter(self) -> None:
-        """Keeps a daemon where it does no harm, once the interpreter ends, and the daemon with it."""
+        """Blocks a daemon thread for good once the interpreter ends, so that it does not enter scipy again."""
         if self._exiting.is_set() and threading.current_thread() is not threading.main_thread():
             self._inside.pop(threading.get_ident(), None)
             threading.Event().wait()
 
     def _check_open(self) -> None:
-        check_not_forked()  # in the child nothing would refresh it
+        check_not_forked()  # nothing refreshes it in the child
         if self._closed.is_set():
             self._end_with_interpreter()
             raise Unavailable(f"the local copy of task {self.name!r} was closed")
@@ -240,20 +251,20 @@ class Mirror:
             )
 
     def _follow(self) -> None:
-        """Refreshes after notices, which tell only that there is something, and at least every `every_s`."""
+        """Refreshes after each notice, and at least every `every_s`."""
         over = False
         while not over:
             try:
                 over = self._closed.wait(self._pause_s) or self._follow_once()
-            except BaseException as error:  # whatever it is, the next attempt may do better; `fault` and `age_s` tell
+            except BaseException as error:  # the next attempt may succeed; `fault` and `age_s` tell
                 self._note(error)
 
     def _follow_once(self) -> bool:
-        """Waits for a notice and refreshes; whether that was the last time."""
+        """Waits for a notice and refreshes; returns whether it was the last time."""
         self._notices.receive(self._every_s)
         if self._closed.is_set():
             return True
-        over = self._notices.closed  # with the client, as this last attempt will say
+        over = self._notices.closed  # closed with the client, as this last attempt will say
         try:
             self.refresh(_ATTEMPT_S)
         except CrkrError as error:
@@ -261,7 +272,7 @@ class Mirror:
         return over
 
     def _note(self, error: BaseException) -> None:
-        """Tells of a refresh that failed; of a defect once in the log, and each time in `defects`."""
+        """Records a failed refresh; logs a defect as a warning once, and counts each in `defects`."""
         if isinstance(error, CrkrError):
             self._fault = error
             _logger.debug("the local copy of task %s was not refreshed: %s", self.name, error)
@@ -270,34 +281,6 @@ class Mirror:
         self._fault = Internal(f"the local copy of task {self.name!r} was not refreshed: {error!r:.500}")
         level = logging.WARNING if self._defects == 1 else logging.DEBUG
         _logger.log(level, "the local copy of task %s was not refreshed: %r", self.name, error)
-
-    def _fetch(self, known: Model | None, timeout_s: float | None) -> tuple[Model, UUID, float]:
-        """The server's model (the known one where it still is), which server, and when it was asked [s, monotonic].
-
-        Another server may have learned something else up to the same version, so that one is asked for all. The id is
-        asked for first: where the server changes between the two questions, the next refresh sees it.
-        """
-        asked = time.monotonic()
-        deadline = self._rpc.deadline(timeout_s)
-        server = self._rpc.server_id(deadline - asked)
-        same = known is not None and server == self._server
-        reply = self._task.model(
-            known.version if known is not None and same else None, timeout_s=max(deadline - time.monotonic(), 0.001)
-        )
-        if known is not None and same and reply.get("unchanged") is True:
-            return known, server, asked
-        with reading("model"):
-            model = Model.from_wire(reply)
-        if known is not None and not _alike(known, model):
-            raise Conflict(
-                f"the server's task {self.name!r} is another now, with other states or goals, so that the local copy "
-                "stays as it was; make a new mirror"
-            )
-        with reading("model"):
-            _check(model)
-            if known is None:
-                check_bounds(self._task._spec, self._task._look, model.parameters.low, model.parameters.high)
-        return model, server, asked
 
 
 def _exit(
@@ -308,39 +291,17 @@ def _exit(
     thread: threading.Thread,
     transport: Transport,
 ) -> None:
-    """Has all threads leave the library beneath before the interpreter ends.
+    """Waits until no thread is inside scipy before the interpreter ends.
 
-    It ends its daemons wherever they are; in the C++ of scipy, that aborts the process.
+    Interpreter exit kills daemon threads, which aborts the process inside scipy's C++ code.
     """
     if is_forked():
         return
     exiting.set()
     closed.set()
     notices.close()
-    transport.close()  # or a question in progress would wait for its answer
+    transport.close()  # ends a question in progress
     until = time.monotonic() + _EXIT_S
     thread.join(_EXIT_S)
     while inside and time.monotonic() < until:
         threading.Event().wait(0.001)
-
-
-def _check(model: Model) -> None:
-    """Raises `Invalid` for a model that cannot answer with goals to try, whatever it is asked."""
-    own, regression = model.parameters, model.regression
-    arrays = [own.prior, own.scales, own.low, own.high, *([] if regression is None else [regression.W])]
-    if not all(np.isfinite(array).all() for array in arrays):
-        raise Invalid("the model holds what is no finite number")
-    if not ((model.goals >= own.low) & (model.goals <= own.high)).all():
-        raise Invalid("the model holds goals outside its bounds")
-
-
-def _alike(one: Model, other: Model) -> bool:
-    """Whether states and goals are of the same dimensions and bounds, which no task changes."""
-    return all(
-        np.array_equal(mine, theirs)
-        for mine, theirs in (
-            (one.parameters.kernel.centre, other.parameters.kernel.centre),
-            (one.parameters.low, other.parameters.low),
-            (one.parameters.high, other.parameters.high),
-        )
-    )

@@ -1,0 +1,57 @@
+"""What a program that learns by trying needs: ask for a goal, report what it cost. Write against this interface."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol, Unpack
+from uuid import UUID
+
+from crkr.protocol import Prediction, Receipt, TrialFields
+
+__all__ = ["AsyncPolicy", "Policy"]
+
+
+class Policy(Protocol):
+    """`crkr.learner.Learner` in process, `Task` at a server and `Mirror`, its local copy, are policies."""
+
+    def predict(self, states: object, explore: bool = False, *, trial_ids: Sequence[UUID] | None = None) -> Prediction:
+        """Goals for one state (d,) or a batch (b, d).
+
+        Args:
+            states: The situation, or b of them.
+            explore: Draw goals to try rather than the best known.
+            trial_ids: Ids of the trials to come, which fix the draw; made where absent.
+
+        Raises:
+            Invalid: States of another shape, or not finite.
+            NoSamples: Nothing was learned yet.
+            NovelState: The task refuses states this far from its samples.
+        """
+        ...
+
+    def report(self, answer: Prediction | None = None, **trial: Unpack[TrialFields]) -> Receipt:
+        """Stores what one trial or a batch cost, all or nothing; the same id again is stored once.
+
+        Args:
+            answer: The prediction that was tried; or give `state` and `goal`.
+            trial: What was done and how it went.
+
+        Raises:
+            Invalid: A value of the wrong shape or out of range.
+            Conflict: An id is known with other content.
+        """
+        ...
+
+
+class AsyncPolicy(Protocol):
+    """The same, awaited: `AsyncTask` is one."""
+
+    async def predict(
+        self, states: object, explore: bool = False, *, trial_ids: Sequence[UUID] | None = None
+    ) -> Prediction:
+        """As `Policy.predict`."""
+        ...
+
+    async def report(self, answer: Prediction | None = None, **trial: Unpack[TrialFields]) -> Receipt:
+        """As `Policy.report`."""
+        ...

@@ -1,0 +1,25 @@
+"""A real server for several tests; each makes tasks of its own."""
+
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+GONE_WITHIN_S = 60.0
+
+
+@contextmanager
+def shared_server(data: Path) -> Iterator[str]:
+    """The endpoint of a server that may still be starting; clients wait for it."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    command = [sys.executable, "-m", "crkr.client", "server", "--listen", endpoint, "--data", str(data)]
+    with subprocess.Popen(command, stderr=subprocess.DEVNULL) as process:
+        try:
+            yield endpoint
+        finally:
+            process.terminate()
+            assert process.wait(GONE_WITHIN_S) == 0

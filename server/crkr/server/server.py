@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import logging
 import math
+import os
+import threading
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,7 +33,7 @@ from crkr.server.queries.intake import Intake
 from crkr.server.queries.queue import Lane
 from crkr.server.queries.refusals import Refuser
 from crkr.server.session import DEFAULT_LISTEN, endpoints, open_session
-from crkr.server.session_renewal import SessionRenewal, cut_connections
+from crkr.server.session_renewal import SessionRenewal, cut_connections, is_broken
 from crkr.server.thread_faults import FAULTS
 from crkr.server.verbs.predict import Predictor
 from crkr.server.verbs.read import Reader
@@ -45,7 +47,28 @@ logger = logging.getLogger(__name__)
 _QUEUE: Final = 256
 # For a question about many states whose asker does not say how long it waits, as clients of version 0.1 do not.
 _PREDICT_PATIENCE_S: Final = 30.0
+_RENEWAL_S: Final = 1.0  # for the end of a broken session
+_BROKEN: Final = 75  # status of the process where no session can be had: a supervisor starts it again
 _DRAIN_S: Final = 1.0  # for requests that were taken in before the order to stop
+
+
+def _close_broken(session: zenoh.Session) -> None:
+    try:
+        session.close()  # type: ignore[no-untyped-call]  # zenoh's stub lacks the type
+    except BaseException as error:
+        logger.debug("the broken session did not close cleanly: %r", error)
+
+
+def _give_up() -> None:
+    """Ends the process: what was acknowledged is in the log, and the next one serves it."""
+    logger.critical(
+        "Zenoh is broken in this process, and no client can be answered: the process ends with status %d and is to be "
+        "started again",
+        _BROKEN,
+    )
+    for handler in logging.getLogger().handlers:
+        handler.flush()
+    os._exit(_BROKEN)
 
 
 @final
@@ -101,7 +124,7 @@ class Server:
             settings.data, self.tasks, self._latencies, self._workers, self._learning, commits, self._queues
         )
         long = {task.name: task.seq for task in self.tasks.all() if task.seq > FEW}  # others were read row by row
-        self._renewal = SessionRenewal(self._renew_session)
+        self._renewal = SessionRenewal(self._renew_session, lambda: is_broken(self._session), _give_up)
         self._seals = SealCheck(self._log.path, long, self._found_damage)
         self._start()
 
@@ -164,10 +187,10 @@ class Server:
     def _renew_session(self) -> None:
         """Closes the session and opens another, to which clients connect by themselves."""
         logger.error("Zenoh panics again and again: its session is opened anew, and clients connect again")
-        try:
-            self._session.close()  # type: ignore[no-untyped-call]  # zenoh's stub lacks the type
-        except BaseException as error:  # as it will, if it is broken; the port is free all the same
-            logger.debug("the broken session did not close cleanly: %r", error)
+        # A broken session panics as it closes, or never comes to an end of it; the port is free all the same.
+        closing = threading.Thread(target=_close_broken, args=(self._session,), name="session end", daemon=True)
+        closing.start()
+        closing.join(_RENEWAL_S)
         cut_connections(endpoints(self._settings.listen, self._settings.zenoh_config))
         self._session = open_session(self._settings.listen, self._settings.zenoh_config)
         self._notices.move(self._session)

@@ -10,7 +10,6 @@ import logging
 import queue
 import sys
 import threading
-from collections.abc import Callable
 from typing import Final, final
 
 from crkr.protocol import LogFormatter
@@ -33,7 +32,7 @@ class StderrLog:
     def __init__(self, level: int) -> None:
         self._waiting: queue.Queue[str | threading.Event] = queue.Queue(_MOST)
         self._lost = 0
-        handler = _Handler(self.add)
+        handler = _Handler(self)
         handler.setFormatter(LogFormatter(_FORMAT))
         logging.basicConfig(level=level, handlers=[handler])
         threading.Thread(target=keep_running, args=(self._step,), name="log", daemon=True).start()
@@ -72,13 +71,16 @@ class StderrLog:
 
 @final
 class _Handler(logging.Handler):
-    def __init__(self, add: Callable[[str], None]) -> None:
+    def __init__(self, log: StderrLog) -> None:
         super().__init__()
-        self._add = add
+        self._log = log
+
+    def flush(self) -> None:
+        self._log.flush()
 
     def emit(self, record: logging.LogRecord) -> None:
         try:
             line = self.format(record)
         except Exception as error:  # whoever logs goes on, as with every handler
             line = f"(a line of the log could not be made: {record.name}, line {record.lineno}: {type(error).__name__})"
-        self._add(line)
+        self._log.add(line)

@@ -15,7 +15,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any, Final, final
 
-__all__ = ["FAULTS", "ThreadFaults", "keep_running", "run_once"]
+__all__ = ["FAULTS", "ThreadFaults", "is_panic", "keep_running", "run_once"]
 
 logger = logging.getLogger(__name__)
 
@@ -50,7 +50,7 @@ class ThreadFaults:
             count = self._counts[name]
             if count & (count - 1) == 0:
                 logger.error("thread %s goes on after fault %d: %r", name, count, error, exc_info=error)
-            if self._heed is not None and type(error).__name__ == "PanicException":
+            if self._heed is not None and is_panic(error):
                 self._heed()
 
     def note_end(self, error: BaseException | None, thread: str) -> None:
@@ -95,6 +95,11 @@ class ThreadFaults:
 
 # One for the process, as its threads and `threading.excepthook` are.
 FAULTS: Final = ThreadFaults()
+
+
+def is_panic(error: BaseException) -> bool:
+    """Whether the Rust beneath a binding raised it; its type has no importable name."""
+    return type(error).__name__ == "PanicException"
 
 
 def keep_running(step: Callable[[], bool]) -> None:

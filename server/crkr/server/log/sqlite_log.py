@@ -59,6 +59,7 @@ class SqliteLog:
             self._files = identities(self.path)
             self._where = str(directory)
             self._directory: tuple[int, int, int] | None = None  # as it was when all names were looked at
+            self._seen: tuple[tuple[int, int, int] | None, int] = None, 0  # a directory, and since when it is so [ns]
             self.reads = SqliteReader(self.path)
             undo.callback(self.reads.close)
             self._last = self.reads.positions()
@@ -195,16 +196,18 @@ class SqliteLog:
     def _refuse_moved_files(self, doing: str) -> None:
         """What SQLite stored in a file that has lost its name would be nowhere after the end.
 
-        A directory's time of change tells for all names in it, but not of two changes in one tick of the clock.
+        A directory's time of change tells for all names in it, but two changes in one tick of the clock have the same.
+        So it is relied on only after the names were checked while it had not changed for longer than a tick.
         """
-        directory = self._look_at_directory()
+        directory, now = self._look_at_directory(), time.monotonic_ns()
         if directory is not None and directory == self._directory:
             return
+        if directory != self._seen[0]:
+            self._seen = directory, now
         moved = [name for name, which in self._files.items() if identity(name) != which]
         if not moved:
             self._lock.check()
-            settled = directory is not None and time.time_ns() - directory[2] > _TICK_NS
-            self._directory = directory if settled else None
+            self._directory = directory if now - self._seen[1] > _TICK_NS else None
             return
         if str(self.path) not in moved:
             with suppress(sqlite3.Error):  # what only the lost file holds is brought into the database

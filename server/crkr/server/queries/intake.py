@@ -10,6 +10,7 @@ asked does not read, another thread takes over. All else waits in a lane.
 from __future__ import annotations
 
 import logging
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any, Final, final
@@ -33,6 +34,17 @@ _CHANNEL: Final = 1024  # queries, between Zenoh and the intake thread: drained 
 _ROUND: Final = 64  # queries taken off before predictions are answered again
 _BATCH: Final = 64  # predictions answered together
 _SMALL: Final = 4096  # bytes; a larger predict is not even looked at here
+
+
+@final
+class _Source:
+    """The queries of one session, and the predictions among them that wait; for one thread at a time."""
+
+    __slots__ = ("queries", "waiting")
+
+    def __init__(self, queries: zenoh.Queryable[zenoh.handlers.Handler[zenoh.Query]]) -> None:
+        self.queries = queries
+        self.waiting = Turns()
 
 
 @final
@@ -60,11 +72,10 @@ class Intake:
     ) -> None:
         self._lanes, self._latencies, self._refuser, self._predict = lanes, latencies, refuser, predict
         self._check_task = check_task
-        self._waiting = Turns()
-        self._surplus: list[Callable[[], None]] = []  # lets go of queries that not even a refusal has room for
+        self._surplus: deque[Callable[[], None]] = deque()  # lets go of queries that not even a refusal has room for
         self._stopping = False
         self._key = key
-        self._queries = self._declare(session)
+        self._source = self._declare(session)
         self._relay = Relay(self._run, f"intake {key}")
 
     def start(self) -> None:
@@ -73,11 +84,11 @@ class Intake:
 
     def move(self, session: zenoh.Session) -> None:
         """Takes queries from another session; the one before is closed."""
-        self._queries = self._declare(session)
+        self._source = self._declare(session)
         self._relay.start()
 
-    def _declare(self, session: zenoh.Session) -> zenoh.Queryable[zenoh.handlers.Handler[zenoh.Query]]:
-        return session.declare_queryable(self._key, zenoh.handlers.FifoChannel(_CHANNEL), complete=True)
+    def _declare(self, session: zenoh.Session) -> _Source:
+        return _Source(session.declare_queryable(self._key, zenoh.handlers.FifoChannel(_CHANNEL), complete=True))
 
     def stop(self) -> None:
         """From now on every query is answered with SHUTTING_DOWN; the thread ends with the session."""
@@ -88,51 +99,47 @@ class Intake:
         self._relay.join(patience_s)
 
     def _run(self, turn: int) -> None:
-        keep_running(partial(self._round, turn, self._queries))
+        keep_running(partial(self._round, turn, self._source))
 
-    def _round(self, turn: int, queries: zenoh.Queryable[zenoh.handlers.Handler[zenoh.Query]]) -> bool:
+    def _round(self, turn: int, source: _Source) -> bool:
         """Takes what waits and answers predictions; False where another thread took over, or all is over."""
         try:
-            if not self._waiting:
-                query = queries.recv()
-                if not self._relay.on_duty(turn):
-                    return False
-                self._route(query)
-            self._drain(queries)
+            if not source.waiting:
+                self._route(source.queries.recv(), source)
+            self._drain(source)
         except zenoh.ZError:  # the session is closed
-            for request in self._waiting.take(len(self._waiting)):
+            for request in source.waiting.take(len(source.waiting)):
                 request.fail(shutting_down())
             return False
-        return self._answer(turn)
+        return self._answer(turn, source)
 
-    def _drain(self, queries: zenoh.Queryable[zenoh.handlers.Handler[zenoh.Query]]) -> None:
+    def _drain(self, source: _Source) -> None:
         """Takes what has come, but not so much that predictions wait for it."""
         for _ in range(_ROUND):
-            query = queries.try_recv()
+            query = source.queries.try_recv()
             if query is None:
                 return
-            self._route(query)
+            self._route(query, source)
 
-    def _answer(self, turn: int) -> bool:
+    def _answer(self, turn: int, source: _Source) -> bool:
         """Answers predictions; False where that took so long that another thread took over."""
-        if not (self._surplus or (self._waiting and self._predict is not None)):
+        if not (self._surplus or (source.waiting and self._predict is not None)):
             return True
-        surplus, self._surplus = self._surplus, []
-        batch = [] if self._predict is None else self._waiting.take(_BATCH)
+        batch = [] if self._predict is None else source.waiting.take(_BATCH)
         left: Sequence[Request] = ()
         try:
             self._relay.begin(turn)
             if batch and self._predict is not None:
                 left = self._predict(batch)
-            for end in surplus:
-                end()
+            while self._surplus:
+                self._surplus.popleft()()
         except BaseException as error:
             for request in batch:
                 request.fail_unexpectedly(error)
         on_duty = self._relay.end(turn)
         try:
             if on_duty:
-                self._waiting.put_back([request for request in left if not request.patient])
+                source.waiting.put_back([request for request in left if not request.patient])
             for request in left:
                 if request.patient or not on_duty:
                     self._hand_over(request)
@@ -140,14 +147,14 @@ class Intake:
             FAULTS.note(error)
         return on_duty
 
-    def _route(self, query: zenoh.Query) -> None:
+    def _route(self, query: zenoh.Query, source: _Source) -> None:
         """Whatever the query is, it is answered or queued, and this thread lives on."""
         try:
             request = Request(query, self._latencies)
             if self._stopping:
                 self._refuse(request, shutting_down())
             elif request.verb == "predict" and self._predict is not None and request.size <= _SMALL:
-                self._wait(request)
+                self._wait(request, source.waiting)
             else:
                 self._hand_over(request)
         except CrkrError as error:
@@ -166,8 +173,8 @@ class Intake:
         if not self._refuser.add(request.fail, error, request.held_bytes()):
             self._surplus.append(request.let_go)
 
-    def _wait(self, request: Request) -> None:
-        if self._is_served(request) and not self._waiting.add(request):
+    def _wait(self, request: Request, waiting: Turns) -> None:
+        if self._is_served(request) and not waiting.add(request):
             self._refuse(request, busy(request.verb))
 
     def _hand_over(self, request: Request) -> None:

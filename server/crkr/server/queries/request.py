@@ -24,8 +24,8 @@ from crkr.protocol import (
     error_to_wire,
     pack,
     split_key,
-    unpack,
 )
+from crkr.protocol.codec import unpack_request
 from crkr.protocol.messages.call_metadata import LONGEST_METADATA, CallMetadata
 from crkr.server.metrics.latency import Latencies
 from crkr.server.thread_faults import FAULTS
@@ -38,9 +38,15 @@ _encoding = cache(lambda verb: zenoh.Encoding(encoding(verb)))  # few verbs: a k
 _TOO_LONG = f"a message has at most {MAX_MESSAGE_BYTES}: ask for less at once"
 _ERROR_ENCODING = zenoh.Encoding(encoding("error"))
 _LONGEST_KEY: Final = 512  # characters; the longest of the protocol has about 150
-# Bytes. A reply carries the key of its query, and Zenoh panics over one of more than 65 535 bytes, which a query may
-# have that is put together from a declared prefix and a suffix. Such a query is let go of without a word.
-_LONGEST_REPLY_KEY: Final = 60_000
+# Bytes. A reply carries the key of its query, and Zenoh panics over a longer one, which a query may have that is put
+# together from a declared prefix and a suffix. Such a query is let go of without a word.
+_LONGEST_REPLY_KEY: Final = 65_533
+_MOST_BESIDE: Final = 2**16  # bytes of an attachment and parameters, which the protocol hardly uses
+# Bytes of the messages that hold little; all others are bounded by MAX_MESSAGE_BYTES.
+_MOST_BYTES: Final[Mapping[str, int]] = {
+    **dict.fromkeys(("info", "tasks", "status", "spec", "model", "samples", "explain", "refit", "archive"), 2**16),
+    **dict.fromkeys(("create_task", "configure", "recost", "remove"), 2**20),
+}
 _LONGEST_ENCODING: Final = 256  # characters
 _QUERY_BYTES: Final = 1024  # that a query takes besides what its asker chose
 _MOST_HASHED: Final = 2**20  # bytes; about a millisecond's work
@@ -135,9 +141,12 @@ class Request:
         if len(key) > _LONGEST_KEY:
             raise Invalid(f"a key has at most {_LONGEST_KEY} characters; got {len(key)}: {key[:64]}...")
         self.scope, self.task, self.verb = split_key(key)
-        payload = query.payload
-        self.size = len(key) + (0 if payload is None else len(payload))
-        self.left = float(self.size)
+        payload, attachment = query.payload, query.attachment
+        beside = len(str(query.parameters)) + (0 if attachment is None else len(attachment))
+        if beside > _MOST_BESIDE:
+            raise Invalid(f"attachment and parameters have {beside} bytes; the limit is {_MOST_BESIDE}")
+        length = len(key) + (0 if payload is None else len(payload))
+        self.size, self.left = length + beside, float(length)
         self.client = b""
         self.deadline = math.inf
         self.progress: Any = None
@@ -171,7 +180,11 @@ class Request:
 
     def message(self) -> dict[str, Any]:
         """The decoded request; raises `Invalid` or `Unsupported`."""
-        return unpack(self.payload())
+        payload = self.payload()
+        most = _MOST_BYTES.get(self.verb, MAX_MESSAGE_BYTES)
+        if len(payload) > most:
+            raise Invalid(f"a message to {self.verb} has at most {most} bytes; got {len(payload)}")
+        return unpack_request(payload)
 
     def identify(self) -> None:
         """Takes the fingerprint of a question that fixes the ids of its answer: repeats of it may share one answer."""

@@ -56,14 +56,6 @@ class Relay:
                 self._since = None
             return turn == self._turn
 
-    def on_duty(self, turn: int) -> bool:
-        """Whether no other turn has begun since.
-
-        A new thread may ask before `_begin_turn` has noted its turn; the lock makes it wait for that.
-        """
-        with self._lock:
-            return turn == self._turn
-
     def join(self, patience_s: float) -> None:
         """Waits for the thread on duty to end; no other takes over from now on."""
         self._ended.set()
@@ -75,7 +67,7 @@ class Relay:
     def _begin_turn(self) -> None:
         turn = self._turn + 1
         thread = threading.Thread(target=self._work, args=(turn,), name=self._name, daemon=True)
-        thread.start()  # it finds its turn only after this lock; where the system gives no thread, the old turn goes on
+        thread.start()  # `end` waits for this lock; where the system gives no thread, the old turn goes on
         self._turn, self._since = turn, None
         self._running.append(thread)
 

@@ -22,6 +22,7 @@ from crkr.protocol import (
     NovelState,
     Prediction,
     PredictRequest,
+    TaskSpec,
     most_states_answered,
     pack,
     random_ids,
@@ -40,7 +41,9 @@ _SQUARE_US: Final = 30e-6  # for each state and each of m^2
 _PASS_US: Final = 120e-6  # for each of m^2, whatever the number of states
 _GUIDED_US: Final = 300.0  # for each state whose goal outcomes guide
 _TRIAL_US: Final = 0.016  # for each such state and each trial that it is compared with
+_FIT_US: Final = 3e-4  # for each such state, iteration, group of outcomes, neighbour, and square of a trial's numbers
 _LEAST: Final = 8  # states at a time; with fewer, reading the factor again and again would be most of the work
+_LONG_US: Final = 10_000.0  # of work, for which even so few states are too many
 _LONGEST: Final = 128  # name of a worker
 _ID_BYTES: Final = 18  # of an id in an answer
 _HEAD_BYTES: Final = 1024  # of an answer, its rows aside
@@ -71,7 +74,7 @@ class Predictor:
                 break
             try:
                 task = self._tasks.get(request.task)
-                payload, cost = request.payload(), _Cost.of(task.model)
+                payload, cost = request.payload(), _Cost.of(task, task.model)
                 question, message = read_question(payload, task.dimensions), None
                 if question is None:
                     message = unpack(payload)
@@ -92,7 +95,11 @@ class Predictor:
             except BaseException as error:  # this one's fault alone; it is answered and the others go on
                 request.fail_unexpectedly(error)
         for (name, explore), questions in together.items():
-            self._answer_together(self._tasks.get(name), explore, questions)
+            try:
+                self._answer_together(self._tasks.get(name), explore, questions)
+            except BaseException as error:  # these questions' fault alone
+                for request, _ in questions:
+                    request.fail_unexpectedly(error)
         return left
 
     def work(self, requests: list[Request]) -> list[Request]:
@@ -167,22 +174,22 @@ class _Batch:
 
     __slots__ = ("_done", "_model", "_novel", "_parts", "_states", "_step", "compute_us", "ids", "question")
 
-    def __init__(self, question: PredictRequest, model: Model) -> None:
-        self.question, self._model = question, model
+    def __init__(self, question: PredictRequest, task: ServedTask) -> None:
+        self.question, self._model = question, task.model
         self.ids = [one.bytes for one in question.trial_ids] or random_ids(question.count)
         self.compute_us = self._done = 0
         self._states = np.atleast_2d(question.states)
-        cost = _Cost.of(model)
-        self._step = max(_LEAST, int((_AT_ONCE_US - cost.once_us) / cost.state_us))
+        cost = _Cost.of(task, self._model)
+        self._step = max(cost.least, int((_AT_ONCE_US - cost.once_us) / cost.state_us))
         self._parts: list[Prediction] = []
         self._novel: NovelState | None = None  # the most novel so far of states that the task refuses
 
     @classmethod
     def begin(cls, request: Request, task: ServedTask) -> Self:
         """Reads a request; raises `Invalid`, and where the answer would be larger than a message may be."""
-        question = PredictRequest.from_wire(unpack(request.payload()), task.dimensions)
+        question = PredictRequest.from_wire(request.message(), task.dimensions)
         _refuse_long_answer(task, question.count)
-        return cls(question, task.model)
+        return cls(question, task)
 
     @property
     def share_left(self) -> float:
@@ -221,20 +228,30 @@ class _Cost(NamedTuple):
     Attributes:
         once_us: For any number of states [us].
         state_us: For each state [us].
+        least: States to answer at a time, lest reading the factor again and again is most of the work.
     """
 
     once_us: float
     state_us: float
+    least: int
 
     @classmethod
-    def of(cls, model: Model) -> _Cost:
+    def of(cls, task: ServedTask, model: Model) -> _Cost:
         square, searched = model.active**2, model.explorer.searched
-        guided = _GUIDED_US + _TRIAL_US * searched if searched else 0.0
-        return cls(_PASS_US * square, _STATE_US + _SQUARE_US * square + guided)
+        guided = _GUIDED_US + _TRIAL_US * searched + _local_fit_us(task.created, searched) if searched else 0.0
+        state_us = _STATE_US + _SQUARE_US * square + guided
+        return cls(_PASS_US * square, state_us, max(1, min(_LEAST, int(_LONG_US / state_us))))
 
     def us(self, count: int) -> float:
         """For so many states [us]."""
         return self.once_us + count * self.state_us
+
+
+def _local_fit_us(spec: TaskSpec, searched: int) -> float:
+    """About how long the fits to a state's nearest trials take [us]."""
+    settings, width = spec.exploration, 1 + len(spec.state) + len(spec.goal)
+    groups = len({entry.group for entry in spec.outcome})
+    return _FIT_US * settings.iterations * groups * min(settings.neighbours, searched) * width**2
 
 
 def _refuse_long_answer(task: ServedTask, count: int) -> None:

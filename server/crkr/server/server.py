@@ -49,6 +49,9 @@ _QUEUE: Final = 256
 _PREDICT_PATIENCE_S: Final = 30.0
 _RENEWAL_S: Final = 1.0  # for the end of a broken session
 _BROKEN: Final = 75  # status of the process where no session can be had: a supervisor starts it again
+# For any other question whose asker does not say how long it waits: less than Zenoh's own default of 10 s.
+_PATIENCE_S: Final = 7.5
+_LONGEST_S: Final = 4.0  # that a question may wait for its turn; an ordinary call gives up after 5 s
 _DRAIN_S: Final = 1.0  # for requests that were taken in before the order to stop
 
 
@@ -147,10 +150,11 @@ class Server:
         # What writes keeps its order, and is stored even where its asker gave up: a late report is data like any other.
         write = lane("write", "report create_task recost remove configure archive", writer.work, MOST_REPORTS, 4096)
         fair: dict[str, Any] = {"fair": True, "patience_s": math.inf}
-        brief = lane("brief", "info status spec model", reader.work, **fair)
-        lists = lane("lists", "tasks", reader.work, rests=True, **fair)
-        samples = lane("samples", "samples", reader.work, rests=True, **fair)
-        explain = lane("explain", "explain", reader.work, rests=True, **fair)
+        quick: dict[str, Any] = {"fair": True, "patience_s": _PATIENCE_S, "longest_s": _LONGEST_S}
+        brief = lane("brief", "info status spec model", reader.work, **quick)
+        lists = lane("lists", "tasks", reader.work, rests=True, **quick)
+        samples = lane("samples", "samples", reader.work, rests=True, **quick)
+        explain = lane("explain", "explain", reader.work, rests=True, **quick)
         bulk = lane("bulk predict", "predict", predictor.work, fair=True, patience_s=_PREDICT_PATIENCE_S, joins=True)
         self._fitting = Fitting(self.tasks, self._learning, writer)
         refit = lane("refit", "refit", self._fitting.work, limit=16, **fair)

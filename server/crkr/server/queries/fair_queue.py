@@ -86,6 +86,11 @@ class FairQueue(Generic[_Job]):
     def __len__(self) -> int:
         return self._count
 
+    def wait(self, task: str) -> int:
+        """How many turns one more job of a task would wait."""
+        own = sum(len(line.jobs) for line in self._by_task.get(task, {}).values())
+        return own * len(self._by_task)
+
     def append(self, job: _Job) -> None:
         """Adds a job behind those of its task and client."""
         self._jobs(job).append(job)

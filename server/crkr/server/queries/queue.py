@@ -23,6 +23,9 @@ __all__ = ["Lane", "busy", "shutting_down"]
 _RETRY_MS: Final = 50
 _MOST_BYTES: Final = 64 * 2**20  # that may wait in a lane
 _BATCH_BYTES: Final = 2 * 2**20  # after which a batch is not made longer
+_FEW: Final = 8  # of a task that may wait however long the others take
+_FIRST_S: Final = 0.01  # for a step before the first
+_WEIGHT: Final = 0.25  # of the newest, in the mean
 _SHARE: Final = 4  # one client has at most this part of a lane, in requests and in bytes
 _Job = TypeVar("_Job", bound=Job)
 
@@ -48,6 +51,8 @@ class Lane(Generic[_Job]):
         patience_s: How long a request of an unknown deadline is waited for before it is refused with `Busy`, None where
             deadlines are not looked at. One whose asker told its deadline is dropped when that has passed.
         joins: A repeat of a question that is here already is answered with it.
+        longest_s: How long a request may wait for its turn, by what those before took; it is refused with `Busy` where
+            it would wait longer. None: not looked at. For fair lanes.
     """
 
     def __init__(
@@ -61,9 +66,11 @@ class Lane(Generic[_Job]):
         fair: bool = False,
         patience_s: float | None = None,
         joins: bool = False,
+        longest_s: float | None = None,
     ) -> None:
         self._limits, self._work, self._most, self._rests = dict(limits), work, most, rests
-        self._patience_s, self._joins = patience_s, joins
+        self._patience_s, self._joins, self._longest_s = patience_s, joins, longest_s
+        self._step_s = _FIRST_S  # about what a step takes, its rest included
         self._queue: deque[_Job] | FairQueue[_Job] = FairQueue() if fair else deque()
         self._waiting: Counter[str] = Counter()
         self._bytes = 0
@@ -109,10 +116,18 @@ class Lane(Generic[_Job]):
         limit, verb, client = self._limits[request.verb], request.verb, request.client
         if self._waiting[verb] >= limit or (self._queue and self._bytes + request.size > _MOST_BYTES):
             return True
+        if self._waits_long(request.task):
+            return True
         if not client or not self._of_clients[client, verb]:
             return False
         size = self._of_clients[client, ""] + request.size
         return self._of_clients[client, verb] >= max(1, limit // _SHARE) or size > _MOST_BYTES // _SHARE
+
+    def _waits_long(self, task: str) -> bool:
+        if self._longest_s is None or not isinstance(self._queue, FairQueue):
+            return False
+        turns = self._queue.wait(task)
+        return turns >= _FEW and turns * self._step_s > self._longest_s
 
     def _count(self, request: _Job, sign: int) -> None:
         self._waiting[request.verb] += sign
@@ -159,8 +174,12 @@ class Lane(Generic[_Job]):
                     self._queue.put_back(request)
                 else:
                     self._queue.appendleft(request)
+        took = time.monotonic() - began
         if self._rests and self._queue:
-            self._ending.wait(time.monotonic() - began)
+            self._ending.wait(took)
+        if batch:
+            took *= 2 if self._rests else 1
+            self._step_s += _WEIGHT * (took - self._step_s)
         return bool(batch or late)
 
     def _attempt(self, batch: list[_Job]) -> Sequence[_Job]:

@@ -14,7 +14,7 @@ import zenoh
 
 from crkr.protocol import TaskSpec, task_key
 from crkr.server.inspection.synthetic_log import fill
-from crkr.server.metrics.latency import Latencies
+from crkr.server.metrics.durations import Latencies
 from crkr.server.queries.intake import Intake
 from crkr.server.queries.queue import Lane, busy
 from crkr.server.queries.refusals import Refuser

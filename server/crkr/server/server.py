@@ -26,8 +26,7 @@ from crkr.server.learning.restore import FEW, restore_all
 from crkr.server.learning.tasks import ServedTask, Tasks
 from crkr.server.learning.thread import Learning
 from crkr.server.log import SqliteLog
-from crkr.server.metrics.durations import Durations
-from crkr.server.metrics.latency import Latencies
+from crkr.server.metrics.durations import Durations, Latencies
 from crkr.server.metrics.vitals import Vitals
 from crkr.server.queries.intake import Intake
 from crkr.server.queries.queue import Lane

@@ -20,7 +20,7 @@ from zenoh_wire import changed_on_the_way
 from crkr.client import Client
 from crkr.protocol import MAX_MESSAGE_BYTES, Invalid, TaskSpec, task_key
 from crkr.server.log import Event, SqliteLog
-from crkr.server.metrics.latency import Latencies
+from crkr.server.metrics.durations import Latencies
 from crkr.server.queries.intake import Intake
 from crkr.server.queries.queue import busy
 from crkr.server.queries.refusals import Refuser

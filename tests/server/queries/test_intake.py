@@ -6,7 +6,7 @@ import pytest
 import zenoh
 
 from crkr.protocol import task_key
-from crkr.server.metrics.latency import Latencies
+from crkr.server.metrics.durations import Latencies
 from crkr.server.queries.intake import Intake
 from crkr.server.queries.refusals import Refuser
 from crkr.server.queries.request import Request

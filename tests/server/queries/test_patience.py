@@ -14,7 +14,7 @@ import zenoh
 from crkr.client import Client
 from crkr.protocol import pack, task_key
 from crkr.protocol.messages.call_metadata import CallMetadata
-from crkr.server.metrics.latency import Latencies
+from crkr.server.metrics.durations import Latencies
 from crkr.server.queries.fair_queue import FairQueue
 from crkr.server.queries.queue import Lane
 from crkr.server.queries.request import Request

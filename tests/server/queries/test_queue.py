@@ -9,7 +9,7 @@ import pytest
 import zenoh
 
 from crkr.protocol import task_key
-from crkr.server.metrics.latency import Latencies
+from crkr.server.metrics.durations import Latencies
 from crkr.server.queries.queue import Lane
 from crkr.server.queries.request import Request
 from crkr.server.session import open_session

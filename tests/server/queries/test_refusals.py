@@ -7,7 +7,7 @@ import pytest
 import zenoh
 
 from crkr.protocol import CrkrError, task_key
-from crkr.server.metrics.latency import Latencies
+from crkr.server.metrics.durations import Latencies
 from crkr.server.queries.intake import Intake
 from crkr.server.queries.queue import busy
 from crkr.server.queries.refusals import Refuser

@@ -17,7 +17,7 @@ from crkr.server.learning.fit import Fitting
 from crkr.server.learning.tasks import ServedTask, Tasks
 from crkr.server.learning.thread import Learning
 from crkr.server.log import SqliteLog
-from crkr.server.metrics.latency import Latencies
+from crkr.server.metrics.durations import Latencies
 from crkr.server.queries.request import Request
 from crkr.server.session import open_session
 from crkr.server.verbs.admin import Change, read_change

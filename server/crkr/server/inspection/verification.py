@@ -10,9 +10,9 @@ import numpy as np
 
 from crkr.learner import Kernel, Learner, radii_kdtree, top
 from crkr.protocol import KINDS, CrkrError, NoSamples, StorageError, TaskSpec, Trial, UnknownTask
-from crkr.server.learning.event_application import apply_entries, batches
 from crkr.server.learning.radii_cache import load_radii
-from crkr.server.learning.restore import restore
+from crkr.server.learning.restore import batches, restore
+from crkr.server.learning.tasks import apply_entries
 from crkr.server.log import Event, LogReader
 
 __all__ = ["Verdict", "verify"]

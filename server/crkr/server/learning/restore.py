@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Final
@@ -13,12 +13,11 @@ import numpy as np
 
 from crkr.learner import TrialColumns
 from crkr.protocol import KINDS, CrkrError, GoalDimension, StateDimension, StorageError, TaskSpec, UnknownTask
-from crkr.server.learning.event_application import apply_entries, batches
 from crkr.server.learning.radii_cache import load_radii
-from crkr.server.learning.tasks import ServedTask
+from crkr.server.learning.tasks import ServedTask, apply_entries
 from crkr.server.log import Event, LoggedTrial, LogReader
 
-__all__ = ["FEW", "restore", "restore_all"]
+__all__ = ["FEW", "batches", "restore", "restore_all"]
 
 logger = logging.getLogger(__name__)
 
@@ -155,3 +154,19 @@ def _replay(task: ServedTask, entries: Iterator[LoggedTrial | Event]) -> None:
         for entry in [batch] if isinstance(batch, Event) else batch:
             task.note(entry)
         apply_entries(task.learner, batch)
+
+
+def batches(entries: Iterable[LoggedTrial | Event], most: int) -> Iterable[list[LoggedTrial] | Event]:
+    """The same entries in the same order, neighbouring trials together, at most so many."""
+    trials: list[LoggedTrial] = []
+    for entry in entries:
+        if isinstance(entry, Event) or len(trials) == most:
+            if trials:
+                yield trials
+            trials = []
+        if isinstance(entry, Event):
+            yield entry
+        else:
+            trials.append(entry)
+    if trials:
+        yield trials

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from itertools import islice
 from typing import Any, Final, final
 from uuid import UUID
@@ -13,7 +14,7 @@ from crkr.learner import Learner, Model, TrialColumns
 from crkr.protocol import KINDS, Internal, TaskSpec, UnknownTask, pack, task_id
 from crkr.server.log import Event, LoggedTrial
 
-__all__ = ["ServedTask", "Tasks", "hyperparameters"]
+__all__ = ["ServedTask", "Tasks", "apply_entries", "hyperparameters"]
 
 _MOST_NAMED: Final = 20  # tasks that an error tells of
 
@@ -187,3 +188,24 @@ class Tasks:
     def all(self) -> list[ServedTask]:
         """Every task, oldest first, those that could not be restored too."""
         return list(self._by_name.values())
+
+
+def apply_entries(learner: Learner, entries: Sequence[LoggedTrial] | Event) -> Any:
+    """Applies trials, or one event, under the positions that the log gave them; returns what the learner returned."""
+    if not isinstance(entries, Event):
+        return learner.apply_trials([entry.seq for entry in entries], [entry.trial for entry in entries])
+    body, seq = entries.body, entries.seq
+    match entries.kind:
+        case "recost":
+            return learner.apply_recost(seq, body["ids"], body["costs"])
+        case "remove":
+            return learner.apply_remove(seq, body["ids"])
+        case "configure":
+            return learner.apply_configure(seq, body["changes"])
+        case "fit":
+            return learner.apply_fit(seq, body["lengthscales"], body["signal_variance"])
+        case "archive":
+            return learner.apply_configure(seq, {})  # changes nothing but the position
+        case "create":  # the learner was made from it
+            return None
+    raise Internal(f"log position {seq} holds an event of kind {entries.kind!r}, which this version does not know")

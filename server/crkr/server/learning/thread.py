@@ -18,8 +18,7 @@ from typing import Any, Final, final
 
 from crkr.learner import Model
 from crkr.protocol import Internal
-from crkr.server.learning.event_application import apply_entries
-from crkr.server.learning.tasks import ServedTask
+from crkr.server.learning.tasks import ServedTask, apply_entries
 from crkr.server.log import Event, LoggedTrial
 from crkr.server.metrics.durations import Durations
 from crkr.server.queries.queue import shutting_down

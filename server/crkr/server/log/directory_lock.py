@@ -17,8 +17,7 @@ from pathlib import Path
 from typing import Final, final
 
 from crkr.protocol import StorageError
-from crkr.server.log.data_files import identity, open_data_file
-from crkr.server.log.file_system import LOCAL_DISK, NO_LOCKS, on_file_system
+from crkr.server.log.data_files import LOCAL_DISK, NO_LOCKS, identity, on_file_system, open_data_file
 
 __all__ = ["DirectoryLock"]
 

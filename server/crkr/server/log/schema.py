@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import Final
 
 from crkr.protocol import StorageError
-from crkr.server.log.data_files import check_database_files
-from crkr.server.log.file_system import LOCAL_DISK, on_file_system
+from crkr.server.log.data_files import LOCAL_DISK, check_database_files, on_file_system
 
 __all__ = [
     "FILE_NAME",

@@ -14,10 +14,9 @@ from typing import Any, Final, final
 
 from crkr.protocol import Conflict, StorageError, TaskSpec, Trial, id_from_wire, pack, unpack
 from crkr.server.log.acknowledged_count import TALLY_NAME, Tally, lost_end, read_tally
-from crkr.server.log.data_files import check_database_files, identities, identity
+from crkr.server.log.data_files import LOCAL_DISK, check_database_files, file_system_of, identities, identity, is_remote
 from crkr.server.log.directory_lock import DirectoryLock
 from crkr.server.log.entries import Event, LoggedTrial, PendingReport, Stored
-from crkr.server.log.file_system import LOCAL_DISK, file_system_of, is_remote
 from crkr.server.log.journal_check import refuse_foreign_journal
 from crkr.server.log.rows import DIGEST_BYTES, ROW_COLUMNS, TRIAL_COLUMNS, body_digest, changed_digest, trial_row
 from crkr.server.log.schema import FILE_NAME, check_schema, connect, open_database, storage_errors

@@ -1,21 +1,21 @@
-"""How long one kind of work takes: noted in passing, made into numbers only when somebody asks."""
+"""How long work takes and how requests end: recorded by one append, made into numbers only when they are read."""
 
 from __future__ import annotations
 
 import threading
 import time
-from collections import deque
-from collections.abc import Iterator, Sequence
+from collections import Counter, deque
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Final, final
+from typing import Any, Final, final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from crkr.protocol import Array
+from crkr.protocol import ADMIN_VERBS, SERVER_VERBS, TASK_VERBS, Array
 
-__all__ = ["BOUNDS_S", "Durations", "Histogram"]
+__all__ = ["BOUNDS_S", "OTHER_VERB", "Durations", "Histogram", "Latencies"]
 
 # Upper bounds of a histogram's buckets, inclusive [s]; one more bucket holds all that took longer.
 BOUNDS_S: Final = (
@@ -23,6 +23,8 @@ BOUNDS_S: Final = (
     *(1e-3 * bound for bound in (1, 2, 5, 10, 20, 50, 100, 200, 500)),
     *(1.0, 2.0, 5.0, 10.0),
 )
+OTHER_VERB: Final = "other"  # anything that is none of the protocol's verbs: clients must not make up labels
+_VERBS: Final = frozenset({*SERVER_VERBS, *TASK_VERBS, *ADMIN_VERBS})
 _WINDOW: Final = 1024  # that `recent` looks back
 
 
@@ -97,3 +99,44 @@ class Durations:
 
 def _tally(times: Array) -> NDArray[np.int64]:
     return np.bincount(np.searchsorted(BOUNDS_S, times), minlength=len(BOUNDS_S) + 1)
+
+
+@final
+class Latencies:
+    """Times of answers and counts of refusals, by verb; any thread may record."""
+
+    def __init__(self) -> None:
+        self._times: dict[str, Durations] = {}
+        self._refusals: Counter[tuple[str, str]] = Counter()
+        self._counting = threading.Lock()
+
+    def record(self, verb: str, seconds: float) -> None:
+        """Takes note of one answer."""
+        times = self._times.get(verb)
+        if times is None:
+            times = self._times.setdefault(verb, Durations())
+        times.record(seconds)
+
+    def refused(self, verb: str, code: str) -> None:
+        """Takes note of one error reply."""
+        with self._counting:
+            self._refusals[verb if verb in _VERBS else OTHER_VERB, code] += 1
+
+    def summary(self) -> dict[str, Any]:
+        """Verb -> {p50, p99} [us] of the last thousand answers, and how many there were since the start."""
+        found: dict[str, Any] = {}
+        for verb, times in list(self._times.items()):
+            recent = times.recent() * 1e6
+            if len(recent):
+                p50, p99 = np.percentile(recent, [50, 99])
+                found[verb] = {"p50": round(float(p50), 1), "p99": round(float(p99), 1), "count": times.count}
+        return found
+
+    def answers(self) -> Mapping[str, Durations]:
+        """Verb -> the times of its answers."""
+        return dict(list(self._times.items()))
+
+    def refusals(self) -> Mapping[tuple[str, str], int]:
+        """(verb, error code) -> how many error replies."""
+        with self._counting:
+            return dict(self._refusals)

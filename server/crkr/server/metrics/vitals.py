@@ -9,8 +9,7 @@ from typing import Any, final
 
 from crkr.server.learning.tasks import Tasks
 from crkr.server.learning.thread import Learning
-from crkr.server.metrics.durations import Durations
-from crkr.server.metrics.latency import Latencies
+from crkr.server.metrics.durations import Durations, Latencies
 from crkr.server.workers import Workers
 
 __all__ = ["Vitals"]

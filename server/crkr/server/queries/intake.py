@@ -18,7 +18,7 @@ from typing import Any, Final, final
 import zenoh
 
 from crkr.protocol import CrkrError, Internal, UnknownTask, Unsupported
-from crkr.server.metrics.latency import OTHER_VERB, Latencies
+from crkr.server.metrics.durations import OTHER_VERB, Latencies
 from crkr.server.queries.fair_queue import Turns
 from crkr.server.queries.queue import Lane, busy, shutting_down
 from crkr.server.queries.refusals import Refuser

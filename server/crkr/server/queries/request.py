@@ -27,7 +27,7 @@ from crkr.protocol import (
 )
 from crkr.protocol.codec import unpack_request
 from crkr.protocol.messages.call_metadata import LONGEST_METADATA, CallMetadata
-from crkr.server.metrics.latency import Latencies
+from crkr.server.metrics.durations import Latencies
 from crkr.server.thread_faults import FAULTS
 
 __all__ = ["Job", "Request", "held_bytes", "let_go", "refuse"]

@@ -29,7 +29,7 @@ from crkr.protocol.checks import integer, required
 from crkr.server.learning.tasks import ServedTask, Tasks, hyperparameters
 from crkr.server.learning.thread import Learning
 from crkr.server.log import LogReader
-from crkr.server.metrics.latency import Latencies
+from crkr.server.metrics.durations import Latencies
 from crkr.server.queries.queue import busy
 from crkr.server.queries.request import Request
 from crkr.server.thread_faults import FAULTS

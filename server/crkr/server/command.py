@@ -60,7 +60,7 @@ def server(
         where = ", ".join(endpoints(listen, zenoh_config))
         told = f"listening on {where}, data in {data}, {len(running.tasks.all())} tasks"
         if endpoint is not None:
-            endpoint.show(running.vitals)
+            endpoint.show(running.sources)
             told += f", metrics at http://{endpoint.address}/metrics"
         log.add(printable(f"crkr server {version('crkr')} {told}"))
         serving.set()

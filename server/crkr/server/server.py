@@ -27,7 +27,7 @@ from crkr.server.learning.tasks import ServedTask, Tasks
 from crkr.server.learning.thread import Learning
 from crkr.server.log import SqliteLog
 from crkr.server.metrics.durations import Durations, Latencies
-from crkr.server.metrics.vitals import Vitals
+from crkr.server.metrics.sources import MetricSources
 from crkr.server.queries.intake import Intake
 from crkr.server.queries.queue import Lane
 from crkr.server.queries.refusals import Refuser
@@ -95,7 +95,7 @@ class Server:
 
     Attributes:
         tasks: What it serves.
-        vitals: How it does.
+        sources: What its metrics are read from.
 
     Raises:
         StorageError: The data directory cannot be used.
@@ -122,7 +122,7 @@ class Server:
         self._refuser = Refuser()
         self._intakes: list[Intake] = []
         commits = self._wire()
-        self.vitals = Vitals(
+        self.sources = MetricSources(
             settings.data, self.tasks, self._latencies, self._workers, self._learning, commits, self._queues
         )
         long = {task.name: task.seq for task in self.tasks.all() if task.seq > FEW}  # others were read row by row
@@ -185,7 +185,7 @@ class Server:
         self._token: zenoh.LivelinessToken = self._session.liveliness().declare_token(self._token_key)
         self._seals.start()
         self._renewal.start()
-        FAULTS.heed_panics(self._renewal.heed)
+        FAULTS.call_on_panic(self._renewal.note_panic)
 
     def _renew_session(self) -> None:
         """Closes the session and opens another, to which clients connect by themselves."""
@@ -225,7 +225,7 @@ class Server:
     def close(self) -> None:
         """Answers what was taken in, commits it, and leaves; what comes meanwhile is told so."""
         deadline = time.monotonic() + _DRAIN_S
-        FAULTS.heed_panics(None)
+        FAULTS.call_on_panic(None)
         self._renewal.stop(_DRAIN_S)
         try:
             self._token.undeclare()  # type: ignore[no-untyped-call]  # zenoh's stub lacks the type

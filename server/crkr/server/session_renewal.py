@@ -55,7 +55,7 @@ class SessionRenewal:
         """Begins to heed panics."""
         self._thread.start()
 
-    def heed(self) -> None:
+    def note_panic(self) -> None:
         """Notes a panic; any thread may."""
         now = time.monotonic()
         with self._lock:

@@ -33,11 +33,11 @@ class ThreadFaults:
         self._lock = threading.Lock()
         self._counts: Counter[str] = Counter()
         self._ended: Counter[str] = Counter()
-        self._heed: Callable[[], None] | None = None
+        self._on_panic: Callable[[], None] | None = None
 
-    def heed_panics(self, heed: Callable[[], None] | None) -> None:
+    def call_on_panic(self, on_panic: Callable[[], None] | None) -> None:
         """Calls this after each panic of a binding, on the thread that saw it; None: nothing from now on."""
-        self._heed = heed
+        self._on_panic = on_panic
 
     def note(self, error: BaseException, thread: str | None = None) -> None:
         """Counts what this thread, or the named one, survived. Never raises.
@@ -50,8 +50,8 @@ class ThreadFaults:
             count = self._counts[name]
             if count & (count - 1) == 0:
                 logger.error("thread %s goes on after fault %d: %r", name, count, error, exc_info=error)
-            if self._heed is not None and is_panic(error):
-                self._heed()
+            if self._on_panic is not None and is_panic(error):
+                self._on_panic()
 
     def note_end(self, error: BaseException | None, thread: str) -> None:
         """Counts a thread that ended by what it raised. Never raises."""

@@ -19,7 +19,7 @@ from crkr.server.queries.intake import Intake
 from crkr.server.queries.queue import Lane, busy
 from crkr.server.queries.refusals import Refuser
 from crkr.server.queries.request import Request
-from crkr.server.queries.standby_thread import Relay
+from crkr.server.queries.standby_thread import StandbyThread
 from crkr.server.session import open_session
 from crkr.server.session_renewal import SessionRenewal
 from crkr.server.stderr_log import StderrLog
@@ -172,7 +172,7 @@ def test_the_log_goes_on_when_standard_error_is_closed(monkeypatch: pytest.Monke
 
 
 def test_where_no_thread_can_take_over_the_old_one_stays_on_duty(monkeypatch: pytest.MonkeyPatch) -> None:
-    relay = Relay(lambda _turn: None, "relay")
+    relay = StandbyThread(lambda _turn: None, "relay")
     monkeypatch.setattr(threading.Thread, "start", lambda _self: (_ for _ in ()).throw(RuntimeError("no thread")))
     with pytest.raises(RuntimeError):
         relay.start()
@@ -339,6 +339,6 @@ def test_panics_that_pass_do_not_renew_the_session() -> None:
     renewal = SessionRenewal(lambda: renewed.append(None), lambda: False, lambda: None)
     renewal.start()
     for _ in range(100):  # at once
-        renewal.heed()
+        renewal.note_panic()
     renewal.stop(PATIENCE_S)
     assert renewed == []

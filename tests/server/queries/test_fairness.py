@@ -11,7 +11,7 @@ import zenoh
 
 from crkr.protocol import task_key
 from crkr.server.metrics.durations import Latencies
-from crkr.server.queries.fair_queue import Turns
+from crkr.server.queries.fair_queue import RoundRobin
 from crkr.server.queries.request import Request
 from crkr.server.session import open_session
 from crkr.server.verbs.predict import _states
@@ -106,7 +106,7 @@ def test_tasks_take_turns_and_those_put_back_are_next(plain: Callable[[str], zen
     with open_session(endpoint, None) as session:
         queries = session.declare_queryable(task_key("*", "*"), zenoh.handlers.FifoChannel(64), complete=True)
         asking = plain(endpoint)
-        turns = Turns()
+        turns = RoundRobin()
         for task in "aaaaabbc":
             asking.get(task_key(task, "predict"), zenoh.handlers.FifoChannel(1), timeout=10.0)
             assert turns.add(Request(queries.recv(), Latencies()))

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from crkr.server.queries.standby_thread import Relay
+from crkr.server.queries.standby_thread import StandbyThread
 
 
 class Desk:
@@ -16,7 +16,7 @@ class Desk:
         self.done: list[tuple[int, str]] = []
         self.let_go = threading.Event()
         self.ended: list[int] = []
-        self.relay = Relay(self.work, "desk")
+        self.relay = StandbyThread(self.work, "desk")
 
     def work(self, turn: int) -> None:
         on_duty = True

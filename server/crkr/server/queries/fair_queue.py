@@ -8,7 +8,7 @@ from typing import Final, Generic, TypeVar, final
 
 from crkr.server.queries.request import Job, Request
 
-__all__ = ["FairQueue", "Turns"]
+__all__ = ["FairQueue", "RoundRobin"]
 
 _MOST_OF_A_TASK: Final = 1024
 _MOST: Final = 8192
@@ -16,7 +16,7 @@ _Job = TypeVar("_Job", bound=Job)
 
 
 @final
-class Turns:
+class RoundRobin:
     """Waiting requests, each task's in the order they came. For one thread."""
 
     def __init__(self) -> None:

@@ -19,11 +19,11 @@ import zenoh
 
 from crkr.protocol import CrkrError, Internal, UnknownTask, Unsupported
 from crkr.server.metrics.durations import OTHER_VERB, Latencies
-from crkr.server.queries.fair_queue import Turns
+from crkr.server.queries.fair_queue import RoundRobin
 from crkr.server.queries.queue import Lane, busy, shutting_down
 from crkr.server.queries.refusals import Refuser
 from crkr.server.queries.request import Request, held_bytes, let_go, refuse
-from crkr.server.queries.standby_thread import Relay
+from crkr.server.queries.standby_thread import StandbyThread
 from crkr.server.thread_faults import FAULTS, keep_running
 
 __all__ = ["Intake"]
@@ -44,7 +44,7 @@ class _Source:
 
     def __init__(self, queries: zenoh.Queryable[zenoh.handlers.Handler[zenoh.Query]]) -> None:
         self.queries = queries
-        self.waiting = Turns()
+        self.waiting = RoundRobin()
 
 
 @final
@@ -76,16 +76,16 @@ class Intake:
         self._stopping = False
         self._key = key
         self._source = self._declare(session)
-        self._relay = Relay(self._run, f"intake {key}")
+        self._thread = StandbyThread(self._run, f"intake {key}")
 
     def start(self) -> None:
         """Begins to take queries."""
-        self._relay.start()
+        self._thread.start()
 
     def move(self, session: zenoh.Session) -> None:
         """Takes queries from another session; the one before is closed."""
         self._source = self._declare(session)
-        self._relay.start()
+        self._thread.start()
 
     def _declare(self, session: zenoh.Session) -> _Source:
         return _Source(session.declare_queryable(self._key, zenoh.handlers.FifoChannel(_CHANNEL), complete=True))
@@ -96,7 +96,7 @@ class Intake:
 
     def join(self, patience_s: float) -> None:
         """Waits for the thread's end, after the session was closed."""
-        self._relay.join(patience_s)
+        self._thread.join(patience_s)
 
     def _run(self, turn: int) -> None:
         keep_running(partial(self._round, turn, self._source))
@@ -128,7 +128,7 @@ class Intake:
         batch = [] if self._predict is None else source.waiting.take(_BATCH)
         left: Sequence[Request] = ()
         try:
-            self._relay.begin(turn)
+            self._thread.begin(turn)
             if batch and self._predict is not None:
                 left = self._predict(batch)
             while self._surplus:
@@ -136,7 +136,7 @@ class Intake:
         except BaseException as error:
             for request in batch:
                 request.fail_unexpectedly(error)
-        on_duty = self._relay.end(turn)
+        on_duty = self._thread.end(turn)
         try:
             if on_duty:
                 source.waiting.put_back([request for request in left if not request.patient])
@@ -173,7 +173,7 @@ class Intake:
         if not self._refuser.add(request.fail, error, request.held_bytes()):
             self._surplus.append(request.let_go)
 
-    def _wait(self, request: Request, waiting: Turns) -> None:
+    def _wait(self, request: Request, waiting: RoundRobin) -> None:
         if self._is_served(request) and not waiting.add(request):
             self._refuse(request, busy(request.verb))
 

@@ -1,4 +1,4 @@
-"""What tells how a server does, gathered where it can be looked at."""
+"""Where the metrics of a server are read from; apart from the collector, which needs the Prometheus client."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from crkr.server.learning.thread import Learning
 from crkr.server.metrics.durations import Durations, Latencies
 from crkr.server.workers import Workers
 
-__all__ = ["Vitals"]
+__all__ = ["MetricSources"]
 
 
 @final
 @dataclass(frozen=True, slots=True)
-class Vitals:
+class MetricSources:
     """To be read, never changed; any thread may.
 
     Attributes:

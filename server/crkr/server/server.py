@@ -1,4 +1,4 @@
-"""Wires the service together, and takes it apart in the order that loses nothing."""
+"""The service: connects its parts, and shuts them down in the order that loses nothing."""
 
 from __future__ import annotations
 
@@ -44,14 +44,14 @@ __all__ = ["DEFAULT_LISTEN", "Server", "ServerSettings"]
 logger = logging.getLogger(__name__)
 
 _QUEUE: Final = 256
-# For a question about many states whose asker does not say how long it waits, as clients of version 0.1 do not.
+# For a question about many states without a deadline, as from clients of version 0.1.
 _PREDICT_PATIENCE_S: Final = 30.0
-_RENEWAL_S: Final = 1.0  # for the end of a broken session
+_RENEWAL_S: Final = 1.0  # for a broken session to close
 _BROKEN: Final = 75  # status of the process where no session can be had: a supervisor starts it again
-# For any other question whose asker does not say how long it waits: less than Zenoh's own default of 10 s.
+# For any other question without a deadline: less than Zenoh's default timeout of 10 s.
 _PATIENCE_S: Final = 7.5
 _LONGEST_S: Final = 4.0  # that a question may wait for its turn; an ordinary call gives up after 5 s
-_DRAIN_S: Final = 1.0  # for requests that were taken in before the order to stop
+_DRAIN_S: Final = 1.0  # for requests received before the stop
 
 
 def _close_broken(session: zenoh.Session) -> None:
@@ -62,7 +62,7 @@ def _close_broken(session: zenoh.Session) -> None:
 
 
 def _give_up() -> None:
-    """Ends the process: what was acknowledged is in the log, and the next one serves it."""
+    """End the process. Acknowledged entries are in the log, and the next process serves them."""
     logger.critical(
         "Zenoh is broken in this process, and no client can be answered: the process ends with status %d and is to be "
         "started again",
@@ -79,7 +79,7 @@ class ServerSettings:
     """How a server runs.
 
     Attributes:
-        data: Data directory, made where there is none.
+        data: Data directory, created if missing.
         listen: Zenoh endpoint; None: the configuration file's, or tcp/127.0.0.1:7447.
         zenoh_config: Zenoh configuration file (JSON5).
     """
@@ -94,8 +94,8 @@ class Server:
     """A running service; a context manager.
 
     Attributes:
-        tasks: What it serves.
-        sources: What its metrics are read from.
+        tasks: The tasks in service.
+        sources: Where its metrics are read from.
 
     Raises:
         StorageError: The data directory cannot be used.
@@ -131,7 +131,7 @@ class Server:
         self._start()
 
     def _wire(self) -> Durations:
-        """Connects keys, lanes and work; returns where commit times are found."""
+        """Connect keys, lanes and work; returns the times of the commits."""
         server_id = uuid4()
         predictor = Predictor(self.tasks, self._workers)
         reader = Reader(
@@ -146,7 +146,7 @@ class Server:
             self._lanes.append(made)
             return dict.fromkeys(verbs.split(), made)
 
-        # What writes keeps its order, and is stored even where its asker gave up: a late report is data like any other.
+        # Writes keep their order, and are stored even if the client gave up: a late report is data like any other.
         write = lane("write", "report create_task recost remove configure archive", writer.work, MOST_REPORTS, 4096)
         fair: dict[str, Any] = {"fair": True, "patience_s": math.inf}
         quick: dict[str, Any] = {"fair": True, "patience_s": _PATIENCE_S, "longest_s": _LONGEST_S}
@@ -181,16 +181,16 @@ class Server:
         for intake in self._intakes:
             intake.start()
         self._workers.watch(self._session)
-        # The last: whoever sees it can ask at once.
+        # Last, as clients that see it may ask at once.
         self._token: zenoh.LivelinessToken = self._session.liveliness().declare_token(self._token_key)
         self._seals.start()
         self._renewal.start()
         FAULTS.call_on_panic(self._renewal.note_panic)
 
     def _renew_session(self) -> None:
-        """Closes the session and opens another, to which clients connect by themselves."""
+        """Close the session and open another; clients reconnect by themselves."""
         logger.error("Zenoh panics again and again: its session is opened anew, and clients connect again")
-        # A broken session panics as it closes, or never comes to an end of it; the port is free all the same.
+        # A broken session panics or hangs as it closes; its port is free all the same.
         closing = threading.Thread(target=_close_broken, args=(self._session,), name="session end", daemon=True)
         closing.start()
         closing.join(_RENEWAL_S)
@@ -203,7 +203,7 @@ class Server:
         self._token = self._session.liveliness().declare_token(self._token_key)
 
     def _fit_when_due(self, task: ServedTask) -> None:
-        """Called by learning after every step until the fit begins."""
+        """Queue a due fit. Learning calls this after every step until the fit begins."""
         due = self._due.get(task.name)
         if due is None or due.answered:
             self._due[task.name] = DueFit(task.name)
@@ -212,7 +212,7 @@ class Server:
                 self._due[task.name].fail(refusal)
 
     def _learned(self, task: ServedTask, before: Model, after: Model) -> None:
-        """Called by learning for every new model."""
+        """Publish and cache a new model. Learning calls this for each."""
         self._notices(task, before, after)
         self._radii.step(task)
 
@@ -223,7 +223,7 @@ class Server:
         return {verb: depth for lane in self._lanes for verb, depth in lane.depths().items()}
 
     def close(self) -> None:
-        """Answers what was taken in, commits it, and leaves; what comes meanwhile is told so."""
+        """Commit and answer the received requests, then stop. Requests that come meanwhile get `ShuttingDown`."""
         deadline = time.monotonic() + _DRAIN_S
         FAULTS.call_on_panic(None)
         self._renewal.stop(_DRAIN_S)
@@ -240,10 +240,10 @@ class Server:
         self._refuser.close(max(0.05, deadline - time.monotonic()))
         learned = self._learning.close(max(0.05, deadline - time.monotonic()))
         try:
-            for task in self.tasks.all() if learned else ():  # learners are nobody's now
+            for task in self.tasks.all() if learned else ():  # no thread uses the learners now
                 self._radii.finish(task)
             self._log.close()
-        except StorageError as error:  # what was acknowledged is in the write-ahead log, and stays
+        except StorageError as error:  # acknowledged entries are safe in the write-ahead log
             logger.warning("the task log was not closed cleanly: %s", error.message)
         try:
             self._session.close()  # type: ignore[no-untyped-call]  # zenoh's stub lacks the type

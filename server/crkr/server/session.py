@@ -46,7 +46,7 @@ _SOURCE_PLACE: Final = re.compile(r" at \S+\.rs:\d+\.?\]?")
 
 
 def open_session(listen: str | None, config_file: Path | None) -> zenoh.Session:
-    """Opens the router session.
+    """Open the router session.
 
     Args:
         listen: Endpoint, e.g. "tcp/127.0.0.1:7447"; None: the file's, or that one.

@@ -49,12 +49,12 @@ class SealCheck:
         self._thread = threading.Thread(target=run_once, args=(self._run,), name="seals", daemon=True)
 
     def start(self) -> None:
-        """Begins, unless there is nothing to check."""
+        """Begin, unless there is nothing to check."""
         if self._tasks:
             self._thread.start()
 
     def stop(self) -> None:
-        """Gives up, and ends the process."""
+        """Give up, and end the process."""
         self._stopped.set()
         with self._starting:
             if self._process is not None:

@@ -77,11 +77,11 @@ class StoredRun:
             yield trials, {"seq": after, "eligible": eligible, "active": active}
 
     def close(self) -> None:
-        """Lets go of the log; idempotent."""
+        """Let go of the log; idempotent."""
         self._reader.close()
 
     def _in_force(self) -> TaskSpec:
-        """Reads the whole log once, which finds missing entries, for the settings that changed."""
+        """Read the whole log once, which finds missing entries, for the settings that changed."""
         first = next(self._reader.read(self._task), None)
         if not isinstance(first, Event) or first.kind != "create":
             raise StorageError(f"the log of task {self._task!r} does not begin with its creation; restore a backup")

@@ -48,7 +48,7 @@ class Verdict:
 
 
 def verify(log: LogReader, name: str, progress: Callable[[int], None] = lambda _: None) -> Verdict:
-    """Replays a task twice, at once as a restart does and step by step as the server did, and compares.
+    """Replay a task twice, at once as a restart does and step by step as the server did, and compare.
 
     Args:
         log: Where from.

@@ -48,14 +48,14 @@ class Tally:
             raise StorageError(f"{path} cannot be written: {error.strerror}") from error
 
     def note(self, positions: int) -> None:
-        """Keeps the number of log positions, all tasks together; where it cannot be written, it lags behind."""
+        """Store the number of log positions of all tasks; if that fails, the stored number lags behind."""
         try:
             os.pwrite(self._file, _line(positions), 0)
         except OSError as error:
             logger.warning("the number of acknowledged log positions was not kept: %s", error.strerror)
 
     def close(self) -> None:
-        """Lets go of the file; a later number is not kept, least of all in the next file of the same descriptor."""
+        """Close the file; a later number is not written, and never into another file of the same descriptor."""
         file, self._file = self._file, -1
         os.close(file)
 

@@ -67,7 +67,7 @@ def open_data_file(path: Path, flags: int) -> int:
 
 
 def check_database_files(path: Path, *, writing: bool = False) -> None:
-    """Looks at a database and at SQLite's files beside it; those that are not there are all right.
+    """Look at a database and at SQLite's files beside it; those that are not there are all right.
 
     Raises:
         StorageError: One is no plain file, or it is to be written and has another name elsewhere.

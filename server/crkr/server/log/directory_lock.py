@@ -69,7 +69,7 @@ class DirectoryLock:
         logger.warning("%s was removed while the server runs, and is made anew: leave it there", self._lock)
 
     def release(self) -> None:
-        """Lets go; the file stays, it means nothing by itself."""
+        """Unlock. The file stays; it means nothing by itself."""
         os.close(self._file)
         os.close(self._directory)
 
@@ -124,7 +124,7 @@ class DirectoryLock:
 
 
 def _try_record_lock(file: int) -> None:
-    """Takes and gives back a lock on one byte, as SQLite does, which itself takes `ENOLCK` for a busy database."""
+    """Take and release a lock on one byte, as SQLite does, which itself takes `ENOLCK` for a busy database."""
     try:
         fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, _FAR)
         fcntl.lockf(file, fcntl.LOCK_UN, 1, _FAR)

@@ -46,7 +46,7 @@ def refuse_foreign_wal(connection: sqlite3.Connection, path: Path) -> None:
 
 
 def refuse_foreign_journal(path: Path) -> bool:
-    """Looks at the rollback journal beside a database; returns whether there is one that SQLite has to play back.
+    """Look at the rollback journal beside a database; returns whether there is one that SQLite has to play back.
 
     Raises:
         StorageError: It is another database's, or of a change that no crkr makes.

@@ -58,7 +58,7 @@ def trial_row(task: int, seq: int, time: float, trial: Trial, digest: bytes) -> 
 
 
 def trial_of(row: tuple[Any, ...]) -> LoggedTrial:
-    """Reads `ROW_COLUMNS`.
+    """Read `ROW_COLUMNS`.
 
     Raises:
         StorageError: The row is not what was stored.
@@ -84,7 +84,7 @@ def trial_of(row: tuple[Any, ...]) -> LoggedTrial:
 
 
 def wire_of(row: tuple[Any, ...]) -> dict[str, Any]:
-    """Reads `ROW_COLUMNS` straight into an entry of a `samples` page; no arrays are made on the way.
+    """Read `ROW_COLUMNS` straight into an entry of a `samples` page; no arrays are made on the way.
 
     Raises:
         StorageError: The row is not what was stored.
@@ -140,7 +140,7 @@ def body_digest(kind: str, body: bytes) -> bytes:
 
 
 def check_row(row: tuple[Any, ...]) -> None:
-    """Raises `StorageError` for a row of `ROW_COLUMNS` that is not what was stored."""
+    """Raise `StorageError` for a row of `ROW_COLUMNS` that is not what was stored."""
     (
         seq,
         time,

@@ -112,7 +112,7 @@ def connect(path: Path, *, read_only: bool = False) -> sqlite3.Connection:
 
 
 def open_database(path: Path) -> sqlite3.Connection:
-    """Opens the log for writing, creating it where there is none.
+    """Open the log for writing, creating it where there is none.
 
     Raises:
         StorageError: It is damaged, of a newer version, no log at all, or cannot be written.

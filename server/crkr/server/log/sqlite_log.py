@@ -1,4 +1,4 @@
-"""The task log in one SQLite file: one file, so that reports of all tasks share one commit and one backup."""
+"""The task log in one SQLite file, so that the reports of all tasks share one commit and one backup."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ class SqliteLog:
         self._closing = self._closed = False
 
     def create(self, spec: TaskSpec) -> Event:
-        """Stores a new task; its create event has seq 1."""
+        """Store a new task; its create event has seq 1."""
         with self._transaction(f"create task {spec.name!r}") as connection:
             cursor = connection.execute("INSERT INTO task (name) VALUES (?)", (spec.name,))
             key = int(cursor.lastrowid or 0)
@@ -82,7 +82,7 @@ class SqliteLog:
         return event
 
     def append_reports(self, reports: Sequence[PendingReport]) -> list[Stored | Conflict]:
-        """Stores several reports in one transaction; a report in conflict leaves the others alone."""
+        """Store several reports in one transaction; a report in conflict leaves the others alone."""
         last = {report.task: self._last[report.task] for report in reports}
         with self._transaction("store trials") as connection:
             now = time.time()
@@ -99,7 +99,7 @@ class SqliteLog:
     def _append_report(
         self, connection: sqlite3.Connection, report: PendingReport, last: int, now: float
     ) -> Stored | Conflict:
-        """Finds every known id first, so that a conflict stores nothing of its report."""
+        """Look up every id before storing, so that a report in conflict stores nothing."""
         key = self._keys[report.task]
         seqs: list[int] = []
         fresh: list[LoggedTrial] = []
@@ -120,7 +120,7 @@ class SqliteLog:
         return Stored(tuple(seqs), tuple(fresh))
 
     def append_event(self, task: str, kind: str, body: Mapping[str, Any]) -> Event:
-        """Stores an event and brings the trials it names up to date."""
+        """Store an event and update the trials it names."""
         key, seq = self._keys[task], self._last[task] + 1
         with self._transaction(f"store {kind} of task {task!r}") as connection:
             event = _insert_event(connection, key, seq, kind, body)
@@ -135,7 +135,7 @@ class SqliteLog:
         return event
 
     def save_cache(self, task: str, version: int, data: bytes) -> None:
-        """Keeps bytes that belong to a log position, in place of the ones before."""
+        """Keep bytes that belong to a log position, in place of the ones before."""
         with self._transaction(f"store the cache of task {task!r}") as connection:
             connection.execute(
                 "INSERT OR REPLACE INTO cache (task, version, data, digest) VALUES (?, ?, ?, ?)",
@@ -143,10 +143,10 @@ class SqliteLog:
             )
 
     def close(self) -> None:
-        """Empties the write-ahead log into the database and frees the directory; idempotent.
+        """Empty the write-ahead log into the database and unlock the directory; idempotent.
 
-        A commit that is under way is waited for. One that takes long is left to end by itself, and then closes the log;
-        that is told by a `StorageError`.
+        A running commit is waited for. One that outlasts the patience closes the log itself when it ends, and this call
+        raises `StorageError`.
         """
         self._closing = True
         if not self._writing.acquire(timeout=_CLOSE_PATIENCE_S):
@@ -157,7 +157,7 @@ class SqliteLog:
             self._writing.release()
 
     def _end(self) -> None:
-        """Whoever calls it holds the writing lock: SQLite must not be closed under a statement that runs."""
+        """Close everything. The caller holds the writing lock: SQLite must not be closed under a statement."""
         if self._closed:
             return
         self._closed = True
@@ -193,10 +193,10 @@ class SqliteLog:
                 self._end_if_closing()
 
     def _refuse_moved_files(self, doing: str) -> None:
-        """What SQLite stored in a file that has lost its name would be nowhere after the end.
+        """Raise `StorageError` if a file of the log has lost its name: what SQLite writes to it would be lost.
 
-        A directory's time of change tells for all names in it, but two changes in one tick of the clock have the same.
-        So it is relied on only after the names were checked while it had not changed for longer than a tick.
+        The directory's time of change covers all names in it, but two changes in one tick of the clock share a time.
+        So an unchanged directory is trusted only if the names were last checked more than a tick after its change.
         """
         directory, now = self._look_at_directory(), time.monotonic_ns()
         if directory is not None and directory == self._directory:
@@ -217,7 +217,7 @@ class SqliteLog:
         )
 
     def _look_at_directory(self) -> tuple[int, int, int] | None:
-        """Which directory that is, and when a name in it changed last [ns]."""
+        """The directory's device, inode and last change of a name [ns]; None if it is gone."""
         try:
             found = os.stat(self._where)
         except OSError:
@@ -225,7 +225,7 @@ class SqliteLog:
         return found.st_dev, found.st_ino, found.st_mtime_ns
 
     def _refuse_changes_of_others(self, doing: str) -> None:
-        """Notices inside a transaction that another process wrote, by the one number that SQLite keeps of that."""
+        """Raise `StorageError` if another process changed the entries; SQLite counts its writes in `data_version`."""
         version = self._read_data_version()
         if version == self._data_version:
             return
@@ -242,7 +242,7 @@ class SqliteLog:
         return int(self._writer.execute("PRAGMA data_version").fetchone()[0])
 
     def _end_if_closing(self) -> None:
-        """What was committed is: an end that goes wrong is no failure of it."""
+        """Close after the last commit; a failure to close is logged, as the commit itself succeeded."""
         if self._closing:
             try:
                 self._end()
@@ -251,7 +251,7 @@ class SqliteLog:
 
 
 def _play_back(path: Path) -> None:
-    """Lets SQLite undo a change that was interrupted, which it does before it reads anything."""
+    """Let SQLite roll back an interrupted change, which it does before its first read."""
     with storage_errors(f"undo what was interrupted in the task log {path}"):
         connection = connect(path)
         try:
@@ -261,7 +261,7 @@ def _play_back(path: Path) -> None:
 
 
 def _refuse_what_lost_its_end(path: Path) -> None:
-    """Before the database is opened for writing, which lets SQLite throw away what it cannot read."""
+    """Raise `StorageError` if acknowledged entries are missing, before SQLite may discard what it cannot read."""
     acknowledged, held = read_tally(path.parent), 0
     if path.is_file() and path.stat().st_size:
         reader = SqliteReader(path)
@@ -288,7 +288,7 @@ def _insert_event(connection: sqlite3.Connection, key: int, seq: int, kind: str,
 def _mark(
     connection: sqlite3.Connection, key: int, identity: bytes, *, cost: float | None = None, removed: bool = False
 ) -> None:
-    """Gives a trial another present cost, or the mark of a removed one; what it has of the other stays."""
+    """Set a trial's present cost, or mark it as removed; the other of the two stays."""
     row = connection.execute(_ROW, (key, identity)).fetchone()
     if row is not None:
         cost, removed = row[13] if cost is None else cost, removed or bool(row[14])

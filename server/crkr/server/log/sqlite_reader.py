@@ -152,7 +152,7 @@ class SqliteReader:
         return entries, None
 
     def check(self, task: str, upto: int) -> None:
-        """Raises `StorageError` for the first trial up to a log position that is not, whole row, what was stored."""
+        """Raise `StorageError` for the first trial up to a log position that is not, whole row, what was stored."""
         with read_errors(f"check the rows of task {task!r}"):
             key = self._key(task)
             for after in range(0, upto, _BLOCK):  # each a read of its own: a long one would keep the log from shrinking
@@ -207,7 +207,7 @@ class SqliteReader:
                 partial.with_name(name).unlink(missing_ok=True)
 
     def close(self) -> None:
-        """Closes the connections of this thread and of those that ended; idempotent.
+        """Close the connections of this thread and of those that ended; idempotent.
 
         One that another thread may just be reading from is left to that thread: to close it would end the process.
         """

@@ -71,21 +71,21 @@ class TaskLog(Protocol):
         ...
 
     def create(self, spec: TaskSpec) -> Event:
-        """Stores a new task; its create event has seq 1."""
+        """Store a new task; its create event has seq 1."""
         ...
 
     def append_reports(self, reports: Sequence[PendingReport]) -> list[Stored | Conflict]:
-        """Stores several reports in one transaction; a report in conflict leaves the others alone."""
+        """Store several reports in one transaction; a report in conflict leaves the others alone."""
         ...
 
     def append_event(self, task: str, kind: str, body: Mapping[str, Any]) -> Event:
-        """Stores an event and brings the trials it names up to date."""
+        """Store an event and update the trials it names."""
         ...
 
     def save_cache(self, task: str, version: int, data: bytes) -> None:
-        """Keeps bytes that belong to a log position, in place of the ones before."""
+        """Keep bytes that belong to a log position, in place of the ones before."""
         ...
 
     def close(self) -> None:
-        """Ends all work; idempotent. Work that goes on for long ends by itself, which is told by a `StorageError`."""
+        """End all work; idempotent. Work that goes on for long ends by itself, which is told by a `StorageError`."""
         ...

@@ -23,7 +23,7 @@ BOUNDS_S: Final = (
     *(1e-3 * bound for bound in (1, 2, 5, 10, 20, 50, 100, 200, 500)),
     *(1.0, 2.0, 5.0, 10.0),
 )
-OTHER_VERB: Final = "other"  # anything that is none of the protocol's verbs: clients must not make up labels
+OTHER_VERB: Final = "other"  # stands for unknown verbs, so that clients cannot make up labels
 _VERBS: Final = frozenset({*SERVER_VERBS, *TASK_VERBS, *ADMIN_VERBS})
 _WINDOW: Final = 1024  # that `recent` looks back
 
@@ -44,9 +44,9 @@ class Histogram:
 
 @final
 class Durations:
-    """Times of one kind of work since the start. Recording is one append, without a lock: any thread may.
+    """Times of one kind of work since the start. Recording is one append without a lock; any thread may.
 
-    The oldest are counted into the histogram when so many have come that `recent` needs them no more.
+    Times too old for `recent` are counted into the histogram and dropped.
     """
 
     __slots__ = ("_counted", "_counting", "_times", "_total_s")
@@ -58,7 +58,7 @@ class Durations:
         self._total_s = 0.0
 
     def record(self, seconds: float) -> None:
-        """Takes note of one."""
+        """Record one time."""
         self._times.append(seconds)
         if len(self._times) >= 2 * _WINDOW and self._counting.acquire(blocking=False):
             try:
@@ -68,30 +68,30 @@ class Durations:
 
     @contextmanager
     def timing(self) -> Iterator[None]:
-        """Takes note of how long the block takes, unless it raises."""
+        """Record the time of a block, unless it raises."""
         started = time.perf_counter()
         yield
         self.record(time.perf_counter() - started)
 
     def recent(self) -> Array:
-        """The last times [s], a thousand at most."""
+        """The latest times [s], at most 1024."""
         return np.array(self._times.copy())[-_WINDOW:]
 
     @property
     def count(self) -> int:
-        """How many there were."""
+        """Number of times recorded."""
         with self._counting:
             return int(self._counted.sum()) + len(self._times)
 
     def histogram(self) -> Histogram:
-        """How they are distributed."""
-        with self._counting:  # so that none is between the two
+        """Cumulative counts and sum of all times."""
+        with self._counting:  # so that no time is counted in neither
             times = np.array(self._times.copy())
             counts = np.cumsum(self._counted + _tally(times))
             return Histogram(counts.tolist(), self._total_s + float(times.sum()))
 
     def _count_oldest(self) -> None:
-        while len(self._times) >= 2 * _WINDOW:  # or another thread was here just before
+        while len(self._times) >= 2 * _WINDOW:  # unless another thread was faster
             old = np.array([self._times.popleft() for _ in range(_WINDOW)])
             self._counted += _tally(old)
             self._total_s += float(old.sum())
@@ -111,19 +111,19 @@ class Latencies:
         self._counting = threading.Lock()
 
     def record(self, verb: str, seconds: float) -> None:
-        """Takes note of one answer."""
+        """Record one answer."""
         times = self._times.get(verb)
         if times is None:
             times = self._times.setdefault(verb, Durations())
         times.record(seconds)
 
     def refused(self, verb: str, code: str) -> None:
-        """Takes note of one error reply."""
+        """Count one error reply."""
         with self._counting:
             self._refusals[verb if verb in _VERBS else OTHER_VERB, code] += 1
 
     def summary(self) -> dict[str, Any]:
-        """Verb -> {p50, p99} [us] of the last thousand answers, and how many there were since the start."""
+        """Verb -> p50 and p99 [us] of the last 1024 answers, and the count since the start."""
         found: dict[str, Any] = {}
         for verb, times in list(self._times.items()):
             recent = times.recent() * 1e6

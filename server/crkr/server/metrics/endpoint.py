@@ -58,7 +58,7 @@ class MetricsEndpoint:
         self._thread.start()
 
     def show(self, sources: MetricSources) -> None:
-        """Answers with a server's metrics too, from now on."""
+        """Answer with a server's metrics too, from now on."""
         self._registry.register(MetricsCollector(sources))
 
     def _serve(self) -> bool:
@@ -66,7 +66,7 @@ class MetricsEndpoint:
         return False
 
     def close(self) -> None:
-        """Stops listening."""
+        """Stop listening."""
         self._http.shutdown()
         self._http.server_close()
         self._thread.join(_PATIENCE_S)

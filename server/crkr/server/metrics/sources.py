@@ -18,13 +18,13 @@ __all__ = ["MetricSources"]
 @final
 @dataclass(frozen=True, slots=True)
 class MetricSources:
-    """To be read, never changed; any thread may.
+    """Read only; any thread may.
 
     Attributes:
         data: Data directory.
         tasks: What is served.
-        latencies: How requests were answered.
-        workers: Who works.
+        latencies: Times and errors of the answers.
+        workers: The workers of each task.
         learning: The backlog and the steps of learning.
         commits: How long the log took to store.
         queues: Verb -> {waiting, limit}.

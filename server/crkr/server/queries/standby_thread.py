@@ -37,7 +37,7 @@ class StandbyThread:
         self._watch = threading.Thread(target=keep_running, args=(self._look,), name=f"{name} standby", daemon=True)
 
     def start(self) -> None:
-        """Starts the first turn, or the next where the one before has nothing to take any more."""
+        """Start the first turn, or the next where the one before has nothing to take any more."""
         with self._lock:
             self._begin_turn()
 
@@ -57,7 +57,7 @@ class StandbyThread:
             return turn == self._turn
 
     def join(self, patience_s: float) -> None:
-        """Waits for the present thread to end; none replaces it from now on."""
+        """Wait for the present thread to end; none replaces it from now on."""
         self._ended.set()
         with self._lock:
             running = self._running[-1:]

@@ -79,7 +79,7 @@ class Reader:
         }
 
     def work(self, requests: list[Request]) -> None:
-        """Answers every one of them."""
+        """Answer every one of them."""
         for request in requests:
             try:
                 self._verbs[request.verb](request)

@@ -58,7 +58,7 @@ class Writer:
         self._order = threading.Lock()  # from a commit to its place in learning's queue, nothing comes between
 
     def work(self, requests: list[Request]) -> None:
-        """Answers every one of them, or hands it to learning to be answered."""
+        """Answer every one of them, or hands it to learning to be answered."""
         reports: list[Request] = []
         for request in requests:
             if request.verb == "report":
@@ -118,7 +118,7 @@ class Writer:
             raise busy(request.verb)
 
     def _hold(self, request: Job, sign: int = 1) -> None:
-        """Counts what a request keeps in memory until learning answers it, or no longer."""
+        """Count what a request keeps in memory until learning answers it, or no longer."""
         with self._holding:
             self._held_bytes += sign * request.size
 
@@ -178,7 +178,7 @@ class Writer:
         self.commit(task, change, request)
 
     def commit(self, task: ServedTask, change: Change, request: Job, configured: int | None = None) -> None:
-        """Commits a change and answers the request when the model includes it; any thread may.
+        """Commit a change and answers the request when the model includes it; any thread may.
 
         Raises:
             Conflict: The task was configured after log position `configured`, from which the change was worked out.
@@ -209,7 +209,7 @@ class Writer:
         self._await(task, event, event.seq, change, request)
 
     def _await(self, task: ServedTask, event: Event | tuple[()], seq: int, change: Change, request: Job) -> None:
-        """Answers when the model includes the event, or the end of the server comes first."""
+        """Answer when the model includes the event, or the end of the server comes first."""
 
         def answer(result: Any, failure: Exception | None) -> None:
             if isinstance(failure, ShuttingDown) and change.kind in _KNOWN_BEFORE:
@@ -224,7 +224,7 @@ class Writer:
 
 
 def _settle(request: Job, failure: Exception | None, message: Mapping[str, Any]) -> None:
-    """Answers with the failure if there was one, else with the message."""
+    """Answer with the failure if there was one, else with the message."""
     if failure is None:
         request.reply(message)
     else:
@@ -232,6 +232,6 @@ def _settle(request: Job, failure: Exception | None, message: Mapping[str, Any])
 
 
 def refuse_archived(task: ServedTask) -> None:
-    """Raises `Invalid` for a task that is archived."""
+    """Raise `Invalid` for a task that is archived."""
     if task.archived:
         raise Invalid(f"task {task.name!r} is archived: it answers reads only", details={"task": task.name})

@@ -106,7 +106,7 @@ def test_all_for_whom_there_was_no_room_are_told_so_before_the_end(
     assert {code(replies.recv()) for replies in waiting} == {"BUSY"}
 
 
-def test_who_is_refused_after_the_last_was_told_so_is_told_so_too(
+def test_refusals_after_the_last_was_sent_are_sent_too(
     router: tuple[zenoh.Session, str], plain: Callable[[str], zenoh.Session]
 ) -> None:
     session, endpoint = router

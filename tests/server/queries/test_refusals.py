@@ -72,7 +72,7 @@ def test_telling_what_was_asked_wrongly_does_not_hold_up_predictions(
         refuser.close(1.0)
 
 
-def test_who_adds_more_than_can_be_told_is_slowed_to_that() -> None:
+def test_adding_more_refusals_than_can_be_sent_is_slowed() -> None:
     told: list[CrkrError] = []
     refuser = Refuser()
     refuser.start()

@@ -22,7 +22,7 @@ from uuid import uuid4
 import zenoh
 
 from crkr.protocol import live_server_key
-from crkr.server.thread_faults import is_panic, keep_running
+from crkr.server.thread_faults import FAULTS, is_panic, keep_running
 
 __all__ = ["SessionRenewal", "cut_connections", "is_broken"]
 
@@ -79,10 +79,10 @@ class SessionRenewal:
             try:
                 self._renew()
                 broken = self._is_broken()
-            except BaseException:
-                self._give_up()
-                raise
-            if broken:
+            except BaseException as error:
+                FAULTS.note(error)
+                broken = True
+            if broken and not self._stopped:
                 self._give_up()
         return not self._stopped
 

@@ -84,6 +84,7 @@ class Workers:
         self._unannounced: _Names = OrderedDict()
         self._open = 0
         self._lock = threading.Lock()
+        self._tokens: object = None  # of the session that is followed
         self._thread: threading.Thread | None = None
 
     def watch(self, session: zenoh.Session) -> None:
@@ -96,6 +97,7 @@ class Workers:
                 entry.alive = False
                 self._sort_in(name, entry)
         tokens = session.liveliness().declare_subscriber(_TOKENS, zenoh.handlers.FifoChannel(_FIFO), history=True)
+        self._tokens = tokens
         self._thread = threading.Thread(
             target=keep_running, args=(partial(self._follow, tokens),), name="liveliness", daemon=True
         )
@@ -201,6 +203,8 @@ class Workers:
         try:
             sample = tokens.recv()
         except zenoh.ZError:  # the session is closed
+            return False
+        if tokens is not self._tokens:  # the end of a session followed before, whose workers are in another now
             return False
         key = str(sample.key_expr)
         if len(key) > _LONGEST_KEY:

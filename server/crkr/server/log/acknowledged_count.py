@@ -1,4 +1,4 @@
-"""How many log positions were acknowledged: the one thing that a database which lost its end cannot tell.
+"""The number of acknowledged log positions, which a database that lost its end cannot know.
 
 SQLite drops whatever stands in its write-ahead log behind a damaged byte, as it must after a crash, and a log that is
 cut off at a commit is whole in itself. So the number is kept in a file of its own, written after each commit and before
@@ -28,7 +28,7 @@ _LINE_BYTES: Final = 30
 
 @final
 class Tally:
-    """The file beside the log, for its one writer.
+    """The file beside the log; for its one writer.
 
     Raises:
         StorageError: It cannot be written.
@@ -61,7 +61,7 @@ class Tally:
 
 
 def read_tally(directory: Path) -> int:
-    """How many log positions were acknowledged for certain; 0 where nobody kept it.
+    """How many log positions were certainly acknowledged; 0 if the number was not stored.
 
     Raises:
         StorageError: It cannot be read, or is no plain file.
@@ -85,7 +85,7 @@ def read_tally(directory: Path) -> int:
 
 
 def lost_end(path: Path, held: int, acknowledged: int) -> str:
-    """What is said of a log that holds less than was acknowledged."""
+    """The message about a log that lacks acknowledged entries."""
     return (
         f"the task log {path} holds {held} entries, but {acknowledged} were acknowledged: its end is lost, or it is an "
         "older copy"

@@ -1,4 +1,4 @@
-"""Trials as columns, straight from database rows: for a restart, which reads them all."""
+"""Trials as columns, read from database rows at a restart."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Files of a data directory, opened without trust in those who prepared it: plain files only, and no link is followed.
+"""Files of a data directory, which may have been prepared by an attacker: only plain files are opened, never links.
 
-A symbolic link would have its target written over, a fifo would hold the start up for ever, and a database under two
-names would have two write-ahead logs. File systems of a network cannot hold a task log: they lack locks, or memory
+A symbolic link would have its target overwritten, a fifo would block the start for ever, and a database with two names
+would have two write-ahead logs. File systems of a network cannot hold a task log: they lack locks, or memory
 shared between processes.
 """
 
@@ -45,7 +45,7 @@ _KINDS: Final = (
 
 
 def open_data_file(path: Path, flags: int) -> int:
-    """A descriptor of a plain file, which is made where `flags` say so.
+    """A descriptor of a plain file, which is created if `flags` say so.
 
     Raises:
         StorageError: Something else stands under its name.
@@ -67,7 +67,7 @@ def open_data_file(path: Path, flags: int) -> int:
 
 
 def check_database_files(path: Path, *, writing: bool = False) -> None:
-    """Look at a database and at SQLite's files beside it; those that are not there are all right.
+    """Check a database and SQLite's files beside it; missing ones are fine.
 
     Raises:
         StorageError: One is no plain file, or it is to be written and has another name elsewhere.
@@ -89,7 +89,7 @@ def check_database_files(path: Path, *, writing: bool = False) -> None:
 
 
 def identity(path: Path | str) -> tuple[int, int] | None:
-    """Which file stands under a name, by device and inode; None where there is none."""
+    """Device and inode of a file; None if it does not exist."""
     try:
         found = os.lstat(path)
     except OSError:
@@ -98,7 +98,7 @@ def identity(path: Path | str) -> tuple[int, int] | None:
 
 
 def identities(path: Path) -> dict[str, tuple[int, int] | None]:
-    """Which files stand under the names of a database in use."""
+    """Device and inode of each file of a database in use."""
     return {name: identity(name) for name in (f"{path}{suffix}" for suffix in _IN_USE)}
 
 
@@ -111,7 +111,7 @@ def _refuse_other_kinds(path: Path, mode: int) -> None:
 
 
 def file_system_of(path: Path) -> str | None:
-    """The type of the file system that holds a path, such as "ext4" or "nfs4"; None where the system does not say."""
+    """The type of the file system that holds a path, such as "ext4" or "nfs4"; None if unknown."""
     where = os.path.realpath(path)
     try:
         lines = _MOUNTS.read_text(encoding="utf-8", errors="replace").splitlines()
@@ -136,6 +136,6 @@ def is_remote(kind: str | None) -> bool:
 
 
 def on_file_system(path: Path) -> str:
-    """The file system in brackets, for messages; nothing where the system does not say."""
+    """The file system in brackets, for messages; "" if unknown."""
     kind = file_system_of(path)
     return "" if kind is None else f" (file system {kind})"

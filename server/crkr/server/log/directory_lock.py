@@ -1,4 +1,4 @@
-"""One server a data directory: advisory locks that the kernel frees when their holder dies.
+"""Advisory locks that give a data directory to one server; the kernel frees them when the process dies.
 
 The directory itself is locked, which nobody can remove unnoticed while its log is in use, and the file `lock` in it,
 which is all that servers before 0.2 look at. Where the file is removed under a running server, it is made and locked
@@ -56,7 +56,7 @@ class DirectoryLock:
         self._locked = identity(self._lock)
 
     def check(self) -> None:
-        """Sees to it that the lock file still is the one that is held.
+        """Check that the lock file is still the locked one.
 
         Raises:
             StorageError: It was replaced, and another process holds what stands in its place.

@@ -135,7 +135,7 @@ class SqliteLog:
         return event
 
     def save_cache(self, task: str, version: int, data: bytes) -> None:
-        """Keep bytes that belong to a log position, in place of the ones before."""
+        """Cache bytes that belong to a log position, replacing earlier ones."""
         with self._transaction(f"store the cache of task {task!r}") as connection:
             connection.execute(
                 "INSERT OR REPLACE INTO cache (task, version, data, digest) VALUES (?, ?, ?, ?)",

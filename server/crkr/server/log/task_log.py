@@ -1,4 +1,4 @@
-"""What the service asks of a store, so that another database can stand in."""
+"""The interface of a task log, so that another database can replace SQLite."""
 
 from __future__ import annotations
 
@@ -47,15 +47,15 @@ class LogReader(Protocol):
         ...
 
     def load_cache(self, task: str) -> tuple[int, bytes] | None:
-        """The bytes kept last and their log position, or None where there are none or they are damaged."""
+        """The cached bytes and their log position; None if missing or damaged."""
         ...
 
     def integrity(self) -> list[str]:
-        """What the store itself finds wrong with how it is laid out; reads everything."""
+        """Errors that the store finds in its own layout; reads everything."""
         ...
 
     def backup(self, target: Path) -> None:
-        """Copies the log, as it is at this moment, into a new file; one that is there under its name is whole."""
+        """Copy the present log into a new file, which gets its name only once it is complete."""
         ...
 
 
@@ -83,9 +83,9 @@ class TaskLog(Protocol):
         ...
 
     def save_cache(self, task: str, version: int, data: bytes) -> None:
-        """Keep bytes that belong to a log position, in place of the ones before."""
+        """Cache bytes that belong to a log position, replacing earlier ones."""
         ...
 
     def close(self) -> None:
-        """End all work; idempotent. Work that goes on for long ends by itself, which is told by a `StorageError`."""
+        """End all work; idempotent. Raises `StorageError` if work outlasts the patience; it then ends by itself."""
         ...

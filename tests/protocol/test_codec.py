@@ -24,7 +24,7 @@ from crkr.protocol import (
     pack,
     unpack,
 )
-from crkr.protocol.codec import MAX_DEPTH
+from crkr.protocol.codec import MAX_DEPTH, unpack_request
 
 shapes = hnp.array_shapes(min_dims=0, max_dims=4, min_side=0, max_side=4)
 finite_lists = st.recursive(
@@ -190,3 +190,43 @@ def test_a_message_is_nested_as_deep_as_the_limit_and_no_deeper(wrap: Callable[[
         with pytest.raises(Invalid, match="nested more than 64 deep"):
             unpack(nested(depth))
         unpack(nested(depth), depth=None)  # as what was stored before there was a limit
+
+
+def padded(value: bytes) -> bytes:
+    """A map with this value and so many bytes beside it that it is decoded in slices."""
+    return b"\x82\xa1x" + value + b"\xa1y\xc6" + (200_000).to_bytes(4, "big") + bytes(200_000)
+
+
+@given(st.recursive(st.none() | st.booleans() | st.integers(0, 2**60) | st.text() | st.binary(), st.lists))
+def test_a_large_request_says_the_same_in_slices(value: Any) -> None:
+    data = padded(msgpack.packb(value))
+    assert unpack_request(data) == unpack(data)
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        padded(b"\xc1"),
+        padded(b"\x81\x01\x02"),
+        padded(b"\x91" * 100 + b"\xc0"),
+        padded(b"\xc0")[:-1],
+        padded(b"\xc0") + b"\xc0",
+        b"\xc6" + (200_000).to_bytes(4, "big") + bytes(200_000),
+        bytes(MAX_MESSAGE_BYTES + 1),
+    ],
+)
+def test_a_large_request_is_refused_as_a_small_one_is(data: bytes) -> None:
+    with pytest.raises(Invalid):
+        unpack(data)
+    with pytest.raises(Invalid):
+        unpack_request(data)
+
+
+@pytest.mark.parametrize("entry", [b"\x80", b"\x90", b"\x91\x80", b"\x81\xa0\xc0"])
+@pytest.mark.parametrize("length", [60_000, 1000])
+def test_a_request_of_very_many_maps_and_lists_is_refused(entry: bytes, length: int) -> None:
+    rows = 200_000 // length
+    data = padded(b"\xdc" + rows.to_bytes(2, "big") + (b"\xdc" + length.to_bytes(2, "big") + entry * length) * rows)
+    assert len(unpack(data)["x"]) == rows
+    with pytest.raises(Invalid, match="more than 131072 maps and lists"):
+        unpack_request(data)

@@ -81,7 +81,7 @@ def listens(port: int) -> bool:
         return probe.connect_ex(("127.0.0.1", port)) == 0
 
 
-def test_whoever_logs_what_cannot_be_formatted_goes_on() -> None:
+def test_logging_what_cannot_be_formatted_raises_nothing() -> None:
     program = """
 import logging
 from crkr.server.stderr_log import StderrLog

@@ -14,7 +14,7 @@ import zenoh
 
 from crkr.protocol import TaskSpec, task_key
 from crkr.server.inspection.synthetic_log import fill
-from crkr.server.metrics.latency import Latencies
+from crkr.server.metrics.durations import Latencies
 from crkr.server.queries.intake import Intake
 from crkr.server.queries.queue import Lane, busy
 from crkr.server.queries.refusals import Refuser
@@ -56,7 +56,7 @@ def test_what_comes_after_the_order_to_stop_is_told_so(
 
 
 def test_what_still_waits_when_the_patience_ends_is_told_so(
-    router: tuple[zenoh.Session, str], connect: Callable[[str], Ask]
+    router: tuple[zenoh.Session, str], connect: Callable[[str], Ask], processes: Any
 ) -> None:
     session, endpoint = router
     working, go_on = threading.Event(), threading.Event()
@@ -78,8 +78,7 @@ def test_what_still_waits_when_the_patience_ends_is_told_so(
     for thread in asking:
         thread.start()
     assert working.wait(10)
-    while lane.depths()["samples"]["waiting"] < 2:
-        pass  # the pytest timeout is the deadline
+    processes.wait_until(lambda: lane.depths()["samples"]["waiting"] == 2)
     lane.close(0.05)
     go_on.set()
     for thread in asking:
@@ -107,7 +106,7 @@ def test_all_for_whom_there_was_no_room_are_told_so_before_the_end(
     assert {code(replies.recv()) for replies in waiting} == {"BUSY"}
 
 
-def test_who_is_refused_after_the_last_was_told_so_is_told_so_too(
+def test_refusals_after_the_last_was_sent_are_sent_too(
     router: tuple[zenoh.Session, str], plain: Callable[[str], zenoh.Session]
 ) -> None:
     session, endpoint = router
@@ -165,7 +164,7 @@ def test_a_server_under_nohup_goes_on_when_the_terminal_is_closed(
 
 
 def test_a_signal_while_a_long_log_is_read_ends_the_server_then(
-    free_port: int, tmp_path: Path, reach: dict[str, Any]
+    free_port: int, tmp_path: Path, reach: dict[str, Any], processes: Any
 ) -> None:
     data = tmp_path / "data"
     fill(data, TaskSpec.from_dict(reach), 40_000)
@@ -174,8 +173,7 @@ def test_a_signal_while_a_long_log_is_read_ends_the_server_then(
     command += ["--listen", f"tcp/127.0.0.1:{free_port}"]
     for number in (signal.SIGTERM, signal.SIGINT):
         with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
-            while not (data / "lock").exists():
-                pass  # the pytest timeout is the deadline
+            processes.wait_until((data / "lock").exists)
             process.send_signal(number)
             assert process.communicate(timeout=60)[1] == ""
             assert process.returncode == 0

@@ -1,4 +1,4 @@
-"""Who is at work, told by liveliness tokens, notices and the names in messages."""
+"""Workers are known by liveliness tokens, notices and the names in messages."""
 
 import time
 from collections.abc import Callable

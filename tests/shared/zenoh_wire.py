@@ -51,11 +51,16 @@ def changed_on_the_way(server_port: int, change: Change) -> Iterator[str]:
             with suppress(OSError):
                 while True:
                     client, _ = listener.accept()
-                    server = socket.create_connection(("127.0.0.1", server_port))
                     stack.callback(client.close)
+                    server = socket.create_connection(("127.0.0.1", server_port))
                     stack.callback(server.close)
                     threading.Thread(target=_upwards, args=(client, server, change), daemon=True).start()
                     threading.Thread(target=_downwards, args=(server, client), daemon=True).start()
 
-        threading.Thread(target=accept, daemon=True).start()
-        yield f"tcp/127.0.0.1:{listener.getsockname()[1]}"
+        accepting = threading.Thread(target=accept, daemon=True)
+        accepting.start()
+        try:
+            yield f"tcp/127.0.0.1:{listener.getsockname()[1]}"
+        finally:
+            listener.shutdown(socket.SHUT_RDWR)
+            accepting.join()

@@ -36,6 +36,7 @@ __all__ = [
     "pack_around",
     "salvage",
     "unpack",
+    "unpack_request",
 ]
 
 Array = NDArray[np.float64]
@@ -44,8 +45,12 @@ MAX_MESSAGE_BYTES: Final = 8 * 1024 * 1024
 MAX_STATES: Final = 4096
 MAX_TRIALS: Final = 1024
 MAX_DEPTH: Final = 64  # of maps and lists in each other; some readers recurse
+_MAX_CONTAINERS: Final = 2**17  # maps and lists of a request, 128 for each of its trials
+_MAX_ENTRIES: Final = 2**16  # of one of them
+_SLICE: Final = 2**16  # bytes decoded at a time: a millisecond or two
 _MEDIA: Final = "application/msgpack"
 _DTYPES: Final = {name: np.dtype(name) for name in ("<f8", "<f4", "<i8")}
+_UNREADABLE: Final = (ValueError, TypeError, RecursionError, OverflowError, msgpack.UnpackException)
 _ENCODING: Final = re.compile(rf"{_MEDIA};crkr\.[a-z_]+\.v([0-9]{{1,9}})")
 
 
@@ -122,8 +127,59 @@ def unpack(data: bytes, depth: int | None = MAX_DEPTH) -> dict[str, Any]:
         return {}
     try:
         message = msgpack.unpackb(data, raw=False, strict_map_key=True)
-    except (ValueError, TypeError, RecursionError, OverflowError, msgpack.UnpackException) as error:
+    except _UNREADABLE as error:
         raise Invalid(f"message is not msgpack with text keys: {type(error).__name__}: {error}") from error
+    return _checked(message, depth)
+
+
+def unpack_request(data: bytes) -> dict[str, Any]:
+    """Decodes one message of a client: `unpack` for a server, whose other threads go on meanwhile.
+
+    A large message is decoded in slices, as msgpack holds the interpreter's lock for as long as it decodes.
+
+    Raises:
+        Invalid: As `unpack`, or too many maps and lists.
+    """
+    if not _SLICE < len(data) <= MAX_MESSAGE_BYTES:
+        return unpack(data)
+    try:
+        return _checked(_unpack_slices(data), MAX_DEPTH)
+    except _UNREADABLE as error:
+        raise Invalid(f"message is not msgpack with text keys: {type(error).__name__}: {error}") from error
+
+
+def _unpack_slices(data: bytes) -> object:
+    containers = 0
+
+    def count(container: Any) -> Any:
+        nonlocal containers
+        containers += 1
+        if containers > _MAX_CONTAINERS:
+            raise Invalid(f"message has more than {_MAX_CONTAINERS} maps and lists; send less at once")
+        return container
+
+    unpacker = msgpack.Unpacker(
+        raw=False,
+        strict_map_key=True,
+        object_hook=count,
+        list_hook=count,
+        max_buffer_size=len(data),
+        max_array_len=_MAX_ENTRIES,
+        max_map_len=_MAX_ENTRIES,
+    )
+    for start in range(0, len(data), _SLICE):
+        unpacker.feed(data[start : start + _SLICE])
+        try:
+            message = unpacker.unpack()
+        except msgpack.OutOfData:
+            continue
+        if unpacker.tell() != len(data):
+            raise ValueError("there is more behind it")
+        return message
+    raise ValueError("it ends too early")
+
+
+def _checked(message: object, depth: int | None) -> dict[str, Any]:
     if not isinstance(message, dict):
         raise Invalid(f"message must be a map with text keys; got {type(message).__name__}")
     for key in message:

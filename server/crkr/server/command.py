@@ -60,7 +60,7 @@ def server(
         where = ", ".join(endpoints(listen, zenoh_config))
         told = f"listening on {where}, data in {data}, {len(running.tasks.all())} tasks"
         if endpoint is not None:
-            endpoint.show(running.vitals)
+            endpoint.show(running.sources)
             told += f", metrics at http://{endpoint.address}/metrics"
         log.add(printable(f"crkr server {version('crkr')} {told}"))
         serving.set()
@@ -68,8 +68,7 @@ def server(
         watchdog = threading.Timer(_EXIT_PATIENCE_S, os._exit, (0,))
         watchdog.daemon = True
         watchdog.start()
-    # All is closed. What is left of the interpreter's own end can only go wrong: it aborts when a thread is just then
-    # returning from Zenoh.
+    # All is closed. The interpreter's own exit is skipped: it aborts if a thread is just returning from Zenoh.
     os._exit(0)
 
 
@@ -85,10 +84,10 @@ def _metrics_endpoint(given: str) -> MetricsEndpoint:
 
 
 def _stop_signal() -> socket.socket:
-    """A socket that gets a byte at SIGTERM, Ctrl-C or the terminal's hang-up; `nohup`, which ignores that one, holds.
+    """A socket that receives a byte at SIGTERM, Ctrl-C, or the terminal's hang-up unless `nohup` ignores that.
 
-    An event set by a handler would not do: the handler runs on the main thread, and where that thread is just then
-    inside `wait`, it would wait for a lock of its own.
+    An event set by a handler would not do: the handler runs on the main thread, which deadlocks on the event's own lock
+    if it is just inside `wait`.
     """
     reader, writer = socket.socketpair()
     writer.setblocking(False)
@@ -100,7 +99,7 @@ def _stop_signal() -> socket.socket:
 
 
 def _leave_before(told_to_stop: socket.socket, serving: threading.Event, log: StderrLog) -> None:
-    """Ends the process where the signal comes before it serves: a long log may take a minute, and nothing is lost."""
+    """End the process if the signal comes before it serves: a long log may take a minute, and nothing is lost."""
     told_to_stop.recv(1, socket.MSG_PEEK)
     if not serving.is_set():
         log.flush()
@@ -108,7 +107,7 @@ def _leave_before(told_to_stop: socket.socket, serving: threading.Event, log: St
 
 
 def _be_quick() -> None:
-    """Sets the interpreter up for short waits rather than for throughput."""
+    """Tune the interpreter for short waits rather than throughput."""
     sys.setswitchinterval(_SWITCH_S)
     gc.collect()
     gc.freeze()  # what is imported by now stays: no collection need look at it again

@@ -1,6 +1,6 @@
-"""Whether the code on disk still is the code that runs: a process that the server starts later would run the other.
+"""Whether the code on disk is still the running code; a process started later would run the code on disk.
 
-An upgrade of the package replaces its files under a running server, and a removed environment takes them away.
+An upgrade replaces the files under a running server, and a removed environment deletes them.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _LIBRARIES: Final = ("numpy.version", "scipy.version")
 
 @final
 class InstalledCode:
-    """The files of the modules that are loaded now."""
+    """The files of the loaded modules."""
 
     def __init__(self) -> None:
         loaded = {
@@ -32,11 +32,11 @@ class InstalledCode:
 
     @property
     def is_replaced(self) -> bool:
-        """Whether one of them holds something else now, or is gone."""
+        """Whether one of them has changed or is gone."""
         return self._read() != self._digest
 
     def _read(self) -> bytes:
-        """A digest of them all; of nothing where one cannot be read."""
+        """A digest of them all; empty if one cannot be read."""
         digest = blake2b()
         try:
             for file in self._files:

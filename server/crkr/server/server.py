@@ -1,9 +1,11 @@
-"""Wires the service together, and takes it apart in the order that loses nothing."""
+"""The service: connects its parts, and shuts them down in the order that loses nothing."""
 
 from __future__ import annotations
 
 import logging
 import math
+import os
+import threading
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,14 +26,13 @@ from crkr.server.learning.restore import FEW, restore_all
 from crkr.server.learning.tasks import ServedTask, Tasks
 from crkr.server.learning.thread import Learning
 from crkr.server.log import SqliteLog
-from crkr.server.metrics.durations import Durations
-from crkr.server.metrics.latency import Latencies
-from crkr.server.metrics.vitals import Vitals
+from crkr.server.metrics.durations import Durations, Latencies
+from crkr.server.metrics.sources import MetricSources
 from crkr.server.queries.intake import Intake
 from crkr.server.queries.queue import Lane
 from crkr.server.queries.refusals import Refuser
 from crkr.server.session import DEFAULT_LISTEN, endpoints, open_session
-from crkr.server.session_renewal import SessionRenewal, cut_connections
+from crkr.server.session_renewal import SessionRenewal, cut_connections, is_broken
 from crkr.server.thread_faults import FAULTS
 from crkr.server.verbs.predict import Predictor
 from crkr.server.verbs.read import Reader
@@ -43,9 +44,33 @@ __all__ = ["DEFAULT_LISTEN", "Server", "ServerSettings"]
 logger = logging.getLogger(__name__)
 
 _QUEUE: Final = 256
-# For a question about many states whose asker does not say how long it waits, as clients of version 0.1 do not.
+# For a question about many states without a deadline, as from clients of version 0.1.
 _PREDICT_PATIENCE_S: Final = 30.0
-_DRAIN_S: Final = 1.0  # for requests that were taken in before the order to stop
+_RENEWAL_S: Final = 1.0  # for a broken session to close
+_BROKEN: Final = 75  # status of the process where no session can be had: a supervisor starts it again
+# For any other question without a deadline: less than Zenoh's default timeout of 10 s.
+_PATIENCE_S: Final = 7.5
+_LONGEST_S: Final = 4.0  # that a question may wait for its turn; an ordinary call gives up after 5 s
+_DRAIN_S: Final = 1.0  # for requests received before the stop
+
+
+def _close_broken(session: zenoh.Session) -> None:
+    try:
+        session.close()  # type: ignore[no-untyped-call]  # zenoh's stub lacks the type
+    except BaseException as error:
+        logger.debug("the broken session did not close cleanly: %r", error)
+
+
+def _give_up() -> None:
+    """End the process. Acknowledged entries are in the log, and the next process serves them."""
+    logger.critical(
+        "Zenoh is broken in this process, and no client can be answered: the process ends with status %d and is to be "
+        "started again",
+        _BROKEN,
+    )
+    for handler in logging.getLogger().handlers:
+        handler.flush()
+    os._exit(_BROKEN)
 
 
 @final
@@ -54,7 +79,7 @@ class ServerSettings:
     """How a server runs.
 
     Attributes:
-        data: Data directory, made where there is none.
+        data: Data directory, created if missing.
         listen: Zenoh endpoint; None: the configuration file's, or tcp/127.0.0.1:7447.
         zenoh_config: Zenoh configuration file (JSON5).
     """
@@ -69,8 +94,8 @@ class Server:
     """A running service; a context manager.
 
     Attributes:
-        tasks: What it serves.
-        vitals: How it does.
+        tasks: The tasks in service.
+        sources: Where its metrics are read from.
 
     Raises:
         StorageError: The data directory cannot be used.
@@ -97,16 +122,16 @@ class Server:
         self._refuser = Refuser()
         self._intakes: list[Intake] = []
         commits = self._wire()
-        self.vitals = Vitals(
+        self.sources = MetricSources(
             settings.data, self.tasks, self._latencies, self._workers, self._learning, commits, self._queues
         )
         long = {task.name: task.seq for task in self.tasks.all() if task.seq > FEW}  # others were read row by row
-        self._renewal = SessionRenewal(self._renew_session)
+        self._renewal = SessionRenewal(self._renew_session, lambda: is_broken(self._session), _give_up)
         self._seals = SealCheck(self._log.path, long, self._found_damage)
         self._start()
 
     def _wire(self) -> Durations:
-        """Connects keys, lanes and work; returns where commit times are found."""
+        """Connect keys, lanes and work; returns the times of the commits."""
         server_id = uuid4()
         predictor = Predictor(self.tasks, self._workers)
         reader = Reader(
@@ -121,13 +146,14 @@ class Server:
             self._lanes.append(made)
             return dict.fromkeys(verbs.split(), made)
 
-        # What writes keeps its order, and is stored even where its asker gave up: a late report is data like any other.
+        # Writes keep their order, and are stored even if the client gave up: a late report is data like any other.
         write = lane("write", "report create_task recost remove configure archive", writer.work, MOST_REPORTS, 4096)
         fair: dict[str, Any] = {"fair": True, "patience_s": math.inf}
-        brief = lane("brief", "info status spec model", reader.work, **fair)
-        lists = lane("lists", "tasks", reader.work, rests=True, **fair)
-        samples = lane("samples", "samples", reader.work, rests=True, **fair)
-        explain = lane("explain", "explain", reader.work, rests=True, **fair)
+        quick: dict[str, Any] = {"fair": True, "patience_s": _PATIENCE_S, "longest_s": _LONGEST_S}
+        brief = lane("brief", "info status spec model", reader.work, **quick)
+        lists = lane("lists", "tasks", reader.work, rests=True, **quick)
+        samples = lane("samples", "samples", reader.work, rests=True, **quick)
+        explain = lane("explain", "explain", reader.work, rests=True, **quick)
         bulk = lane("bulk predict", "predict", predictor.work, fair=True, patience_s=_PREDICT_PATIENCE_S, joins=True)
         self._fitting = Fitting(self.tasks, self._learning, writer)
         refit = lane("refit", "refit", self._fitting.work, limit=16, **fair)
@@ -155,19 +181,19 @@ class Server:
         for intake in self._intakes:
             intake.start()
         self._workers.watch(self._session)
-        # The last: whoever sees it can ask at once.
+        # Last, as clients that see it may ask at once.
         self._token: zenoh.LivelinessToken = self._session.liveliness().declare_token(self._token_key)
         self._seals.start()
         self._renewal.start()
-        FAULTS.heed_panics(self._renewal.heed)
+        FAULTS.call_on_panic(self._renewal.note_panic)
 
     def _renew_session(self) -> None:
-        """Closes the session and opens another, to which clients connect by themselves."""
+        """Close the session and open another; clients reconnect by themselves."""
         logger.error("Zenoh panics again and again: its session is opened anew, and clients connect again")
-        try:
-            self._session.close()  # type: ignore[no-untyped-call]  # zenoh's stub lacks the type
-        except BaseException as error:  # as it will, if it is broken; the port is free all the same
-            logger.debug("the broken session did not close cleanly: %r", error)
+        # A broken session panics or hangs as it closes; its port is free all the same.
+        closing = threading.Thread(target=_close_broken, args=(self._session,), name="session end", daemon=True)
+        closing.start()
+        closing.join(_RENEWAL_S)
         cut_connections(endpoints(self._settings.listen, self._settings.zenoh_config))
         self._session = open_session(self._settings.listen, self._settings.zenoh_config)
         self._notices.move(self._session)
@@ -177,7 +203,7 @@ class Server:
         self._token = self._session.liveliness().declare_token(self._token_key)
 
     def _fit_when_due(self, task: ServedTask) -> None:
-        """Called by learning after every step until the fit begins."""
+        """Queue a due fit. Learning calls this after every step until the fit begins."""
         due = self._due.get(task.name)
         if due is None or due.answered:
             self._due[task.name] = DueFit(task.name)
@@ -190,7 +216,7 @@ class Server:
         self._writer.restart(task)
 
     def _learned(self, task: ServedTask, before: Model, after: Model) -> None:
-        """Called by learning for every new model."""
+        """Publish and cache a new model. Learning calls this for each."""
         self._notices(task, before, after)
         self._radii.step(task)
 
@@ -201,9 +227,9 @@ class Server:
         return {verb: depth for lane in self._lanes for verb, depth in lane.depths().items()}
 
     def close(self) -> None:
-        """Answers what was taken in, commits it, and leaves; what comes meanwhile is told so."""
+        """Commit and answer the received requests, then stop. Requests that come meanwhile get `ShuttingDown`."""
         deadline = time.monotonic() + _DRAIN_S
-        FAULTS.heed_panics(None)
+        FAULTS.call_on_panic(None)
         self._renewal.stop(_DRAIN_S)
         try:
             self._token.undeclare()  # type: ignore[no-untyped-call]  # zenoh's stub lacks the type
@@ -218,10 +244,10 @@ class Server:
         self._refuser.close(max(0.05, deadline - time.monotonic()))
         learned = self._learning.close(max(0.05, deadline - time.monotonic()))
         try:
-            for task in self.tasks.all() if learned else ():  # learners are nobody's now
+            for task in self.tasks.all() if learned else ():  # no thread uses the learners now
                 self._radii.finish(task)
             self._log.close()
-        except StorageError as error:  # what was acknowledged is in the write-ahead log, and stays
+        except StorageError as error:  # acknowledged entries are safe in the write-ahead log
             logger.warning("the task log was not closed cleanly: %s", error.message)
         try:
             self._session.close()  # type: ignore[no-untyped-call]  # zenoh's stub lacks the type

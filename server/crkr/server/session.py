@@ -35,8 +35,9 @@ _DEFAULTS: Final[dict[str, Any]] = {
     "transport/unicast/accept_timeout": 2000,
     "transport/unicast/accept_pending": 1000,
     # A message whose last fragment never comes is kept as long as its connection, one for each of seven priorities.
-    # Beyond a message of the protocol with its key there is nothing to wait for [bytes, count].
-    "transport/link/rx/max_message_size": MAX_MESSAGE_BYTES + 2**18,
+    # Up to twice a message of the protocol with its key is taken and told to be too large; beyond that there is nothing
+    # to wait for [bytes, count].
+    "transport/link/rx/max_message_size": 2 * MAX_MESSAGE_BYTES + 2**18,
     "transport/unicast/max_sessions": 512,
     "listen/endpoints": [DEFAULT_LISTEN],  # Zenoh's router would listen on every interface
 }
@@ -45,7 +46,7 @@ _SOURCE_PLACE: Final = re.compile(r" at \S+\.rs:\d+\.?\]?")
 
 
 def open_session(listen: str | None, config_file: Path | None) -> zenoh.Session:
-    """Opens the router session.
+    """Open the router session.
 
     Args:
         listen: Endpoint, e.g. "tcp/127.0.0.1:7447"; None: the file's, or that one.

@@ -1,9 +1,9 @@
-"""Renewal of the Zenoh session where Zenoh has broken it.
+"""Renewal of a Zenoh session that a client has broken.
 
-A message that Zenoh cannot pack, such as a publication under an overlong key, makes it panic while it holds the queue
-of each subscriber's connection. From then on every send to those clients panics, and they hear no answer any more,
-although their connections stand. Zenoh neither says which those are nor closes one, so the whole session is opened
-anew: clients connect again by themselves within a second. It is done at most twice a minute, as a client can cause it.
+A message that Zenoh cannot encode, such as a publication with an overlong key, makes it panic while it locks the send
+queues of the subscribers. Every later send to those clients panics, although their connections stand. A declaration
+whose key is not a key expression makes Zenoh panic while it locks its routing tables, and no client is answered any
+more. Zenoh does not recover by itself, so the whole session is opened anew; clients reconnect within a second.
 """
 
 from __future__ import annotations
@@ -17,38 +17,45 @@ from collections.abc import Callable, Iterable
 from contextlib import suppress
 from pathlib import Path
 from typing import Final, final
+from uuid import uuid4
 
-from crkr.server.thread_faults import keep_running
+import zenoh
 
-__all__ = ["SessionRenewal", "cut_connections"]
+from crkr.protocol import live_server_key
+from crkr.server.thread_faults import FAULTS, is_panic, keep_running
 
-_AGAIN_S: Final = 0.3  # a second panic, so long after the first or later, says that it does not pass by itself
+__all__ = ["SessionRenewal", "cut_connections", "is_broken"]
+
+_AGAIN_S: Final = 0.3  # a second panic after that time shows that the fault does not pass
 _WITHIN_S: Final = 10.0
-_PAUSE_S: Final = 30.0  # between renewals
+_PAUSE_S: Final = 30.0  # between renewals for such panics
+_PROBE_S: Final = 2.0  # between probes of the session
 _PORT: Final = re.compile(r":(\d+)(?:[?#]|$)")  # of an endpoint
 
 
 @final
 class SessionRenewal:
-    """A thread that calls `renew` once panics go on.
+    """A thread that calls `renew` when panics go on, or a probe finds the session broken.
 
     Args:
         renew: Opens the session anew.
+        is_broken: Whether the present session is broken.
+        give_up: Ends the process, if renewal does not help.
     """
 
-    def __init__(self, renew: Callable[[], None]) -> None:
-        self._renew = renew
+    def __init__(self, renew: Callable[[], None], is_broken: Callable[[], bool], give_up: Callable[[], None]) -> None:
+        self._renew, self._is_broken, self._give_up = renew, is_broken, give_up
         self._lock, self._wanted = threading.Lock(), threading.Event()
         self._first = self._last = float("-inf")
         self._stopped = False
         self._thread = threading.Thread(target=keep_running, args=(self._step,), name="session renewal", daemon=True)
 
     def start(self) -> None:
-        """Begins to heed panics."""
+        """Start to watch."""
         self._thread.start()
 
-    def heed(self) -> None:
-        """Notes a panic; any thread may."""
+    def note_panic(self) -> None:
+        """Note a panic; any thread may."""
         now = time.monotonic()
         with self._lock:
             if now - self._last < _PAUSE_S:
@@ -60,23 +67,45 @@ class SessionRenewal:
                 self._wanted.set()
 
     def stop(self, patience_s: float) -> None:
-        """Renews no more."""
+        """Renew no more."""
         self._stopped = True
         self._wanted.set()
         self._thread.join(patience_s)
 
     def _step(self) -> bool:
-        self._wanted.wait()
+        wanted = self._wanted.wait(_PROBE_S)
         self._wanted.clear()
-        if not self._stopped:
-            self._renew()
+        if not self._stopped and (wanted or self._is_broken()):
+            try:
+                self._renew()
+                broken = self._is_broken()
+            except BaseException as error:
+                FAULTS.note(error)
+                broken = True
+            if broken and not self._stopped:
+                self._give_up()
         return not self._stopped
 
 
-def cut_connections(endpoints: Iterable[str]) -> None:
-    """Cuts the process's TCP connections that came to these endpoints; does nothing where there is no /proc.
+def is_broken(session: zenoh.Session) -> bool:
+    """Whether Zenoh panics over a query or a token of this session; only a panic is proof."""
+    key = live_server_key(f"probe/{uuid4()}")
+    try:
+        session.get(key, zenoh.handlers.FifoChannel(1), timeout=_PROBE_S)
+        session.liveliness().declare_token(key).undeclare()  # type: ignore[no-untyped-call]  # zenoh's stub lacks the type
+    except zenoh.ZError:  # it is closed
+        return False
+    except BaseException as error:
+        if is_panic(error):
+            return True
+        raise
+    return False
 
-    A broken session does not end its connections as it closes, and their clients would wait for it for ever.
+
+def cut_connections(endpoints: Iterable[str]) -> None:
+    """Cut the process's TCP connections at these endpoints; does nothing without /proc.
+
+    A broken session leaves its connections open as it closes, and their clients would wait for ever.
     """
     ports = {int(found[1]) for endpoint in endpoints if (found := _PORT.search(endpoint))}
     with suppress(OSError):

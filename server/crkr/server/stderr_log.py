@@ -1,7 +1,7 @@
-"""Log lines on standard error, written by a thread of their own: who does not read them holds up nobody else.
+"""Log lines on standard error, written by a thread of their own.
 
-A terminal that is stopped, or a supervisor that leaves a pipe unread, would otherwise stop whoever logs next, and with
-the thread that commits all reports.
+A stopped terminal, or a supervisor that leaves a pipe unread, would otherwise block the next thread that logs, such as
+the one that commits all reports.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ import logging
 import queue
 import sys
 import threading
-from collections.abc import Callable
 from typing import Final, final
 
 from crkr.protocol import LogFormatter
@@ -19,34 +18,34 @@ from crkr.server.thread_faults import keep_running
 __all__ = ["StderrLog"]
 
 _FORMAT: Final = "%(asctime)s %(levelname)s %(name)s: %(message)s"
-_MOST: Final = 1000  # lines that wait; more are lost
+_MOST: Final = 1000  # waiting lines; more are lost
 
 
 @final
 class StderrLog:
-    """Takes what is logged from now on.
+    """Writes all log records from now on.
 
     Args:
-        level: The least that is written.
+        level: The lowest level written.
     """
 
     def __init__(self, level: int) -> None:
         self._waiting: queue.Queue[str | threading.Event] = queue.Queue(_MOST)
         self._lost = 0
-        handler = _Handler(self.add)
+        handler = _Handler(self)
         handler.setFormatter(LogFormatter(_FORMAT))
         logging.basicConfig(level=level, handlers=[handler])
         threading.Thread(target=keep_running, args=(self._step,), name="log", daemon=True).start()
 
     def add(self, item: str | threading.Event) -> None:
-        """Writes a line before long, or loses it; an event is set when all before it is written."""
+        """Queue a line, or lose it if the queue is full. An event is set once all lines before it are written."""
         try:
             self._waiting.put_nowait(item)
         except queue.Full:
             self._lost += 1
 
     def flush(self, patience_s: float = 0.2) -> None:
-        """Waits until all is written, so long at most."""
+        """Wait until all lines are written, for `patience_s` at most."""
         written = threading.Event()
         self.add(written)
         written.wait(patience_s)
@@ -66,19 +65,22 @@ class StderrLog:
         try:
             sys.stderr.write(f"{line}\n")
             sys.stderr.flush()
-        except (OSError, ValueError):  # nobody is there to read it, or it is closed
+        except (OSError, ValueError):  # closed, or without a reader
             self._lost = 0
 
 
 @final
 class _Handler(logging.Handler):
-    def __init__(self, add: Callable[[str], None]) -> None:
+    def __init__(self, log: StderrLog) -> None:
         super().__init__()
-        self._add = add
+        self._log = log
+
+    def flush(self) -> None:
+        self._log.flush()
 
     def emit(self, record: logging.LogRecord) -> None:
         try:
             line = self.format(record)
-        except Exception as error:  # whoever logs goes on, as with every handler
+        except Exception as error:  # the logging thread goes on, as with every handler
             line = f"(a line of the log could not be made: {record.name}, line {record.lineno}: {type(error).__name__})"
-        self._add(line)
+        self._log.add(line)

@@ -1,7 +1,7 @@
-"""Faults of the server's threads: whatever a thread raises is counted and told, and the thread goes on.
+"""Faults of the server's threads: what a thread raises is counted and logged, and the thread goes on.
 
-`except Exception` is not enough for that. A panic in the Rust beneath a binding arrives as a `BaseException`, and a
-lane that ends by it leaves everyone behind it without an answer while the process looks well.
+`except Exception` is not enough: a Rust panic in a binding is a `BaseException`, and a lane that ends by one leaves the
+requests behind it unanswered while the process looks well.
 """
 
 from __future__ import annotations
@@ -15,52 +15,52 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any, Final, final
 
-__all__ = ["FAULTS", "ThreadFaults", "keep_running", "run_once"]
+__all__ = ["FAULTS", "ThreadFaults", "is_panic", "keep_running", "run_once"]
 
 logger = logging.getLogger(__name__)
 
 _MOST_NAMES: Final = 64  # of threads, in the counts
 _OTHER: Final = "other"
 _UNNAMED: Final = re.compile(r"Thread-\d+(?: \((.*)\))?")
-_LONGEST_PAUSE_S: Final = 1.0  # before the next try of what fails again and again
+_LONGEST_PAUSE_S: Final = 1.0  # between tries of a step that keeps failing
 
 
 @final
 class ThreadFaults:
-    """Counts by thread name since the start; any thread may read and add."""
+    """Counts of faults by thread name; any thread may use it."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._counts: Counter[str] = Counter()
         self._ended: Counter[str] = Counter()
-        self._heed: Callable[[], None] | None = None
+        self._on_panic: Callable[[], None] | None = None
 
-    def heed_panics(self, heed: Callable[[], None] | None) -> None:
-        """Calls this after each panic of a binding, on the thread that saw it; None: nothing from now on."""
-        self._heed = heed
+    def call_on_panic(self, on_panic: Callable[[], None] | None) -> None:
+        """Call `on_panic` after each panic of a binding, on the thread that saw it. None: no longer."""
+        self._on_panic = on_panic
 
     def note(self, error: BaseException, thread: str | None = None) -> None:
-        """Counts what this thread, or the named one, survived. Never raises.
+        """Count a fault that this thread, or the named one, survived. Never raises.
 
-        The log has the first traceback of a thread, then those whose number is a power of two: a client that causes a
-        fault with each message does not fill the disk.
+        Only faults number 1, 2, 4, 8, ... of a thread are logged, so that a client that causes one with each message
+        does not fill the disk.
         """
         with suppress(BaseException):
             name = self._counted(self._counts, thread or threading.current_thread().name)
             count = self._counts[name]
             if count & (count - 1) == 0:
                 logger.error("thread %s goes on after fault %d: %r", name, count, error, exc_info=error)
-            if self._heed is not None and type(error).__name__ == "PanicException":
-                self._heed()
+            if self._on_panic is not None and is_panic(error):
+                self._on_panic()
 
     def note_end(self, error: BaseException | None, thread: str) -> None:
-        """Counts a thread that ended by what it raised. Never raises."""
+        """Count a thread that ended by an exception. Never raises."""
         with suppress(BaseException):
             name = self._counted(self._ended, thread)
             logger.critical("thread %s ended; restart the server: %r", name, error, exc_info=error)
 
     def watch(self) -> None:
-        """Notes every thread of the process that ends by an exception from now on."""
+        """Count every thread of the process that ends by an exception from now on."""
         before = threading.excepthook
 
         def hook(ended: threading.ExceptHookArgs) -> None:
@@ -70,17 +70,17 @@ class ThreadFaults:
         threading.excepthook = hook
 
     def counts(self) -> dict[str, int]:
-        """Thread -> how often it raised something and went on."""
+        """Thread -> number of faults it survived."""
         with self._lock:
             return dict(self._counts)
 
     def ended(self) -> list[str]:
-        """Threads that are no more although the server needs them."""
+        """Threads that ended although the server needs them."""
         with self._lock:
             return sorted(self._ended)
 
     def summary(self) -> dict[str, Any]:
-        """As `info` and `status` tell it; empty while nothing went wrong."""
+        """The counts as in `info` and `status`; empty without faults."""
         counts, ended = self.counts(), self.ended()
         return {"faults": counts, "ended": ended} if counts or ended else {}
 
@@ -97,8 +97,13 @@ class ThreadFaults:
 FAULTS: Final = ThreadFaults()
 
 
+def is_panic(error: BaseException) -> bool:
+    """Whether the Rust beneath a binding raised it; its type has no importable name."""
+    return type(error).__name__ == "PanicException"
+
+
 def keep_running(step: Callable[[], bool]) -> None:
-    """The whole of a thread: calls `step` until it returns False, whatever it raises meanwhile."""
+    """Call `step` until it returns False, whatever it raises; the body of a thread."""
     failures, pause = 0, threading.Event()
     while True:
         try:
@@ -113,7 +118,7 @@ def keep_running(step: Callable[[], bool]) -> None:
 
 
 def run_once(work: Callable[[], None]) -> None:
-    """The whole of a thread that has one thing to do; what it raises is noted, and the thread is done."""
+    """Call `work` once and count what it raises; the body of a thread with one task."""
     try:
         work()
     except BaseException as error:

@@ -1,4 +1,4 @@
-"""Who works on which task: alive by their liveliness tokens, with the trials they were given and did not report yet."""
+"""The workers of each task: their liveliness, and the trials they asked for and have not reported yet."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ __all__ = ["STATES", "Workers"]
 logger = logging.getLogger(__name__)
 
 STATES: Final = ("alive", "left", "lost", "unannounced")
-# Names of workers, by how they are known; of each kind the longest unseen is forgotten first. A client that asks under
-# made-up names makes the server forget such names, and not the workers that stand by their tokens.
+# Bounds by kind of name; the name unseen for longest is dropped first. Made-up names in requests thus push out only
+# each other, and not the workers with a token.
 _MOST_ALIVE: Final = 16_384
-_MOST_ANNOUNCED: Final = 4096  # that are not alive
+_MOST_ANNOUNCED: Final = 4096  # not alive
 _MOST_UNANNOUNCED: Final = 1024
-_MOST_OPEN: Final = 4096  # trials a worker, the oldest is forgotten first
+_MOST_OPEN: Final = 4096  # trials of a worker; the oldest is dropped first
 _LONGEST_ID: Final = 128  # characters; status lists ids
-_MOST_OPEN_IN_ALL: Final = 65_536  # then those of the worker that has most; the names without a token give first
-_FEW: Final = 64  # open trials, as an honest worker may have
+_MOST_OPEN_IN_ALL: Final = 65_536  # then the worker with most loses some, names without a token first
+_FEW: Final = 64  # open trials of an ordinary worker
 _LONGEST_KEY: Final = 512  # of a token
 _FIFO: Final = 65536
 # One subscription to both kinds of token, so that a worker's leaving comes before the end of its own.
@@ -50,13 +50,13 @@ class _Worker:
         self.see()
 
     def shrink(self) -> None:
-        """Makes the table of open trials anew once it is far too large: taking entries out does not make it smaller."""
+        """Rebuild the table of open trials once it is far too large, as removing entries frees no memory."""
         if self.most > _FEW and len(self.open) < self.most // 4:
             self.open = OrderedDict(self.open)
             self.most = len(self.open)
 
     def see(self) -> None:
-        """Notes that it gave a sign just now: the time of day to be told, the monotonic one to be compared."""
+        """Note a sign of life: the time of day for display, the monotonic time for comparison."""
         self.last_seen, self.seen = time.time(), time.monotonic()
 
     @property
@@ -75,39 +75,41 @@ _Names = OrderedDict[tuple[str, str], _Worker]
 
 @final
 class Workers:
-    """Workers of all tasks, known by their tokens or by the name they ask and report under."""
+    """Workers of all tasks, known by their tokens or by the names in their requests."""
 
     def __init__(self) -> None:
-        # By whether they ever had a token and whether they have one now; the longest unseen first.
+        # With a token, with one in the past, without any; the longest unseen first.
         self._alive: _Names = OrderedDict()
         self._gone: _Names = OrderedDict()
         self._unannounced: _Names = OrderedDict()
         self._open = 0
         self._lock = threading.Lock()
+        self._tokens: object = None  # of the session that is followed
         self._thread: threading.Thread | None = None
 
     def watch(self, session: zenoh.Session) -> None:
-        """Follows the tokens from now on, those that stand already too; ends with the session.
+        """Follow the liveliness tokens of a session, existing ones included, until it closes.
 
-        Where another session was followed before, its workers are lost until their tokens stand in this one.
+        Workers of a session followed before are lost until their tokens appear in this one.
         """
         with self._lock:
             for name, entry in list(self._alive.items()):
                 entry.alive = False
                 self._sort_in(name, entry)
         tokens = session.liveliness().declare_subscriber(_TOKENS, zenoh.handlers.FifoChannel(_FIFO), history=True)
+        self._tokens = tokens
         self._thread = threading.Thread(
             target=keep_running, args=(partial(self._follow, tokens),), name="liveliness", daemon=True
         )
         self._thread.start()
 
     def join(self, patience_s: float) -> None:
-        """Waits for the end of `watch`, after the session was closed."""
+        """Wait for the end of `watch`, after the session was closed."""
         if self._thread is not None:
             self._thread.join(patience_s)
 
     def asked(self, task: str, worker: str, trials: Iterable[bytes]) -> None:
-        """A worker was given goals to try."""
+        """Note that a worker was given goals to try."""
         with self._lock:
             entry = self._entry(task, worker)
             entry.see()
@@ -123,7 +125,7 @@ class Workers:
                 self._forget_oldest()
 
     def reported(self, task: str, worker: str, trials: Iterable[bytes]) -> None:
-        """A worker reported trials; a late report is as good as any."""
+        """Note that a worker reported trials, late or not."""
         with self._lock:
             entry = self._entry(task, worker)
             entry.see()
@@ -164,7 +166,7 @@ class Workers:
         return chain(self._alive.items(), self._gone.items(), self._unannounced.items())
 
     def _entry(self, task: str, worker: str) -> _Worker:
-        """The worker of that name, now the one that was seen last."""
+        """The worker of that name, moved to the end as the latest seen."""
         name = task, worker
         for names in (self._alive, self._gone, self._unannounced):
             if name in names:
@@ -175,7 +177,7 @@ class Workers:
         return entry
 
     def _sort_in(self, name: tuple[str, str], entry: _Worker) -> None:
-        """Puts a worker whose token came or went among its kind."""
+        """Move a worker whose token came or went to its kind."""
         for names in (self._alive, self._gone, self._unannounced):
             names.pop(name, None)
         (self._alive if entry.alive else self._gone)[name] = entry
@@ -187,7 +189,7 @@ class Workers:
             self._open -= len(names.popitem(last=False)[1].open)
 
     def _forget_oldest(self) -> None:
-        """Halves what the worker with most open trials has, until there is room: honest ones have few."""
+        """Halve the open trials of the worker with most, until there is room: ordinary workers have few."""
         while self._open > _MOST_OPEN_IN_ALL:
             most = max(self._unannounced.values(), key=_opened, default=None)
             if most is None or len(most.open) < _FEW:
@@ -202,6 +204,8 @@ class Workers:
             sample = tokens.recv()
         except zenoh.ZError:  # the session is closed
             return False
+        if tokens is not self._tokens:  # the end of a session followed before, whose workers are in another now
+            return False
         key = str(sample.key_expr)
         if len(key) > _LONGEST_KEY:
             return True
@@ -212,7 +216,7 @@ class Workers:
                     self._leave(task, worker, stands)
                 elif what == _WORKER:
                     self._appear(task, worker, stands)
-        return True  # a token on a wildcard is nobody's
+        return True  # a token with a wildcard belongs to no worker
 
     def _leave(self, task: str, worker: str, stands: bool) -> None:
         with self._lock:

@@ -2,6 +2,7 @@
 
 import os
 import signal
+import subprocess
 import threading
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -76,7 +77,8 @@ def kill(start_server: Start, free_port: int) -> Callable[[Any], Any]:
 
 def hold(server: Any) -> Any:
     os.kill(server.process.pid, signal.SIGSTOP)
-    threading.Event().wait(3.0)  # longer than the lease: clients lose their connection
+    with pytest.raises(subprocess.TimeoutExpired):
+        server.process.wait(timeout=3.0)  # longer than the lease: clients lose their connection
     os.kill(server.process.pid, signal.SIGCONT)
     return server
 

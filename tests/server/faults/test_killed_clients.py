@@ -169,7 +169,7 @@ def test_lost_stuck_and_finished_workers_are_told_apart_and_a_late_report_is_dat
     assert set(open_trials.values()) <= set(stored(server.endpoint))
 
 
-def test_whoever_takes_the_name_of_a_killed_worker_is_alive(
+def test_a_worker_that_takes_the_name_of_a_killed_one_is_alive(
     server: Any,
     connect: Callable[[str], Ask],
     make_trial: MakeTrial,

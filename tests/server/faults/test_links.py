@@ -45,9 +45,10 @@ class Cable:
         self.endpoint = f"tcp/127.0.0.1:{self._listener.getsockname()[1]}"
         self._run(self._accept)
 
-    def cut(self, seconds: float) -> None:
+    @contextmanager
+    def cut(self) -> Iterator[None]:
         self._whole.clear()
-        threading.Event().wait(seconds)
+        yield
         self._whole.set()
 
     def close(self) -> None:
@@ -90,7 +91,8 @@ def test_over_a_link_that_is_silent_for_a_while_everything_arrives_once(server: 
         stack.callback(client.kill)
         assert client.stdout is not None
         lines = [client.stdout.readline() for _ in range(50)]
-        cable.cut(2.5)  # longer than a lease
+        with cable.cut(), pytest.raises(subprocess.TimeoutExpired):
+            client.wait(timeout=2.5)  # longer than a lease
         lines += client.stdout.readlines()
         assert client.wait(timeout=10) == 0
     assert [int(line) for line in lines[:-1]] == list(range(1, count + 1))

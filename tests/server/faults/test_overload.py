@@ -49,7 +49,7 @@ def test_beyond_a_full_queue_requests_are_refused_as_busy_while_another_client_i
         ask("task/reach/rpc/report", {"trials": trials[first : first + 250], "wait": True})
     task = ask("task/reach/rpc/status")["task"]
     greedy = plain(shared_endpoint)
-    page = msgpack.packb({"limit": 1000})
+    page = msgpack.packb({"limit": 300})
     replies = [
         greedy.get(
             f"crkr/@v1/task/{task}/rpc/samples",

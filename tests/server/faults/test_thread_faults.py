@@ -16,12 +16,12 @@ from crkr.client import Client
 from crkr.client.network.config import Connection
 from crkr.client.network.zenoh_transport import ZenohTransport
 from crkr.protocol import pack, task_key
-from crkr.server.metrics.latency import Latencies
+from crkr.server.metrics.durations import Latencies
 from crkr.server.queries.intake import Intake
 from crkr.server.queries.queue import Lane, busy
 from crkr.server.queries.refusals import Refuser
 from crkr.server.queries.request import Request
-from crkr.server.queries.standby_thread import Relay
+from crkr.server.queries.standby_thread import StandbyThread
 from crkr.server.session import open_session
 from crkr.server.session_renewal import SessionRenewal
 from crkr.server.stderr_log import StderrLog
@@ -174,7 +174,7 @@ def test_the_log_goes_on_when_standard_error_is_closed(monkeypatch: pytest.Monke
 
 
 def test_where_no_thread_can_take_over_the_old_one_stays_on_duty(monkeypatch: pytest.MonkeyPatch) -> None:
-    relay = Relay(lambda _turn: None, "relay")
+    relay = StandbyThread(lambda _turn: None, "relay")
     monkeypatch.setattr(threading.Thread, "start", lambda _self: (_ for _ in ()).throw(RuntimeError("no thread")))
     with pytest.raises(RuntimeError):
         relay.start()
@@ -189,9 +189,12 @@ def number(value: int) -> bytes:
     return written + bytes([value])
 
 
-def overlong(first: bytes, rest: bytes) -> Callable[[bytes], bytes]:
-    """Makes of a publication a declared prefix, and of the next message one on that prefix and a suffix."""
-    dummy, seen = f"{ROOT}/x/dummy".encode(), []
+def overlong(first: bytes, rest: bytes, seen: list[int]) -> Callable[[bytes], bytes]:
+    """Makes of a publication a declared prefix, and of the next message one on that prefix and a suffix.
+
+    The next may be sent when `seen` has one entry, or both would come in one batch.
+    """
+    dummy = f"{ROOT}/x/dummy".encode()
 
     def change(batch: bytes) -> bytes:
         place = batch.find(dummy)
@@ -208,15 +211,17 @@ def overlong(first: bytes, rest: bytes) -> Callable[[bytes], bytes]:
 
 @pytest.mark.parametrize("verb", ["rpc/report", "admin/remove", "rpc/status", "dance"])
 def test_a_key_longer_than_zenoh_can_answer_harms_nobody_else(
-    verb: str, server: Any, reach: dict[str, Any], plain: Callable[[str], zenoh.Session]
+    verb: str, server: Any, reach: dict[str, Any], plain: Callable[[str], zenoh.Session], processes: Any
 ) -> None:
+    seen: list[int] = []
     prefix = f"{ROOT}/task/{'k' * 40_000}" if "/" in verb else f"{ROOT}/task/reach/rpc/{'k' * 40_000}"
-    change = overlong(prefix.encode(), f"{'s' * 26_000}{'/' + verb if '/' in verb else ''}".encode())
+    change = overlong(prefix.encode(), f"{'s' * 26_000}{'/' + verb if '/' in verb else ''}".encode(), seen)
     with Client(server.endpoint) as client, changed_on_the_way(server.port, change) as endpoint:
         task = client.create_task(reach)
         task.report(state=[0.5, 0.5], goal=[0.0] * 3, cost=0.5, success=True, wait=True)
         hostile = plain(endpoint)
         hostile.put(f"{ROOT}/x/dummy1", b"x")
+        processes.wait_until(lambda: seen, server.log)
         list(hostile.get(f"{ROOT}/x/dummy2", payload=b"", timeout=2.0))
         assert task.predict([0.5, 0.5], timeout_s=PATIENCE_S).active == 1
         assert task.report(state=[0.4, 0.5], goal=[0.0] * 3, cost=0.5, success=True, timeout_s=PATIENCE_S).accepted == 1
@@ -249,7 +254,8 @@ def test_the_health_probe_fails_where_a_thread_ended(threads: Any, code: int, fr
 def test_subscribers_whose_connections_an_overlong_publication_broke_are_answered_again(
     server: Any, reach: dict[str, Any], plain: Callable[[str], zenoh.Session], processes: Any
 ) -> None:
-    change = overlong(f"{ROOT}/task/reach/pub/{'k' * 40_000}".encode(), b"s" * 26_000)
+    seen: list[int] = []
+    change = overlong(f"{ROOT}/task/reach/pub/{'k' * 40_000}".encode(), b"s" * 26_000, seen)
     transport = ZenohTransport(Connection.choose(server.endpoint, None))
     with (
         Client(server.endpoint, timeout_s=PATIENCE_S) as client,
@@ -264,22 +270,78 @@ def test_subscribers_whose_connections_an_overlong_publication_broke_are_answere
         with task.announce("ada"):
             hostile = plain(endpoint)
             hostile.put(f"{ROOT}/x/dummy1", b"x")
+            processes.wait_until(lambda: seen, server.log)
             hostile.put(f"{ROOT}/x/dummy2", b"x")
+            processes.wait_until(lambda: b"panicked" in server.log.read_bytes(), server.log)
             for one in (listening, client):
                 assert one.task("reach").predict([0.5, 0.5]).active == 1
             assert task.report(state=[0.4, 0.5], goal=[0.0] * 3, cost=0.5, success=True, wait=True).accepted == 1
-            told = processes.wait_until(lambda: task.status()["threads"], server.log)
+            told = processes.wait_until(lambda: task.status().get("threads"), server.log)
             assert sum(told["faults"].values()) >= 1
             assert told["ended"] == []
             processes.wait_until(lambda: task.status()["workers"][0]["state"] == "alive", server.log)
         assert subscriber is not None
 
 
+def test_a_session_that_a_token_on_no_key_broke_is_opened_anew(
+    server: Any, reach: dict[str, Any], plain: Callable[[str], zenoh.Session], processes: Any
+) -> None:
+    def spoilt(batch: bytes) -> bytes:
+        return batch.replace(b"live/worker", b"liv*/worker")
+
+    with (
+        Client(server.endpoint, timeout_s=PATIENCE_S) as client,
+        changed_on_the_way(server.port, spoilt) as endpoint,
+    ):
+        task = client.create_task(reach)
+        task.report(state=[0.5, 0.5], goal=[0.0] * 3, cost=0.5, success=True, wait=True)
+        hostile = plain(endpoint)
+        token = hostile.liveliness().declare_token(f"{ROOT}/task/reach/live/worker/w")
+        processes.wait_until(lambda: not hostile_answer(hostile), server.log)
+        hostile.close()  # type: ignore[no-untyped-call]  # zenoh's stub lacks the type
+        processes.wait_until(lambda: b"opened anew" in server.log.read_bytes(), server.log)
+        assert task.predict([0.5, 0.5]).active == 1
+        assert task.report(state=[0.4, 0.5], goal=[0.0] * 3, cost=0.5, success=True, wait=True).accepted == 1
+        with Client(server.endpoint, timeout_s=PATIENCE_S) as another:
+            assert another.task("reach").status()["samples"]["trial"] == 2
+        assert server.process.poll() is None
+        assert token is not None
+
+
+def hostile_answer(session: zenoh.Session) -> bool:
+    """Whether a query below the spoilt key is answered."""
+    replies = session.get(f"{ROOT}/task/reach/rpc/status", zenoh.handlers.FifoChannel(1), payload=b"\x80", timeout=1.0)
+    return any(reply.ok is not None for reply in replies)
+
+
+@pytest.mark.parametrize("renews", [True, False])
+def test_a_session_that_is_broken_is_renewed_and_where_that_does_not_help_the_process_is_given_up(
+    renews: bool, processes: Any
+) -> None:
+    broken, done = threading.Event(), []
+
+    def renew() -> None:
+        done.append("renewed")
+        if renews:
+            broken.clear()
+
+    def give_up() -> None:
+        done.append("given up")
+        broken.clear()
+
+    renewal = SessionRenewal(renew, broken.is_set, give_up)
+    renewal.start()
+    broken.set()
+    processes.wait_until(lambda: not broken.is_set())
+    renewal.stop(PATIENCE_S)
+    assert done == (["renewed"] if renews else ["renewed", "given up"])
+
+
 def test_panics_that_pass_do_not_renew_the_session() -> None:
     renewed: list[None] = []
-    renewal = SessionRenewal(lambda: renewed.append(None))
+    renewal = SessionRenewal(lambda: renewed.append(None), lambda: False, lambda: None)
     renewal.start()
     for _ in range(100):  # at once
-        renewal.heed()
+        renewal.note_panic()
     renewal.stop(PATIENCE_S)
     assert renewed == []

@@ -15,7 +15,7 @@ from crkr.server.learning.tasks import ServedTask, Tasks
 from crkr.server.learning.thread import Learning
 from crkr.server.learning.waits import Waits
 from crkr.server.log import SqliteLog
-from crkr.server.metrics.latency import Latencies
+from crkr.server.metrics.durations import Latencies
 from crkr.server.queries.request import Request
 from crkr.server.session import open_session
 from crkr.server.verbs.report import Writer

@@ -28,15 +28,14 @@ def log(tmp_path: Path) -> Iterator[SqliteLog]:
     log.close()
 
 
-def test_a_commit_that_outlasts_the_end_of_the_log_is_whole(log: SqliteLog) -> None:
+def test_a_commit_that_outlasts_the_end_of_the_log_is_whole(log: SqliteLog, processes: Any) -> None:
     held = sqlite3.connect(log.path, isolation_level=None)
     held.execute("BEGIN IMMEDIATE")  # as slow as a disk that does not answer
     stored: list[Any] = []
     pending = [PendingReport("reach", (trial(1),))]
     writing = threading.Thread(target=lambda: stored.append(log.append_reports(pending)))
     writing.start()
-    while not log._writing.locked():
-        pass  # the pytest timeout is the deadline
+    processes.wait_until(log._writing.locked)
     with pytest.raises(StorageError, match="it ends by itself"):
         log.close()
     held.execute("ROLLBACK")

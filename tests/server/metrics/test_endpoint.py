@@ -1,4 +1,4 @@
-"""Who connects to the metrics and says nothing, or little, keeps no scraper from them and costs the server nothing."""
+"""Silent or slow connections to the metrics neither block a scraper nor cost the server."""
 
 import os
 import socket

@@ -14,7 +14,7 @@ import zenoh
 from crkr.client import Client
 from crkr.protocol import pack, task_key
 from crkr.protocol.messages.call_metadata import CallMetadata
-from crkr.server.metrics.latency import Latencies
+from crkr.server.metrics.durations import Latencies
 from crkr.server.queries.fair_queue import FairQueue
 from crkr.server.queries.queue import Lane
 from crkr.server.queries.request import Request
@@ -223,3 +223,21 @@ def test_metadata_is_read_as_it_was_written() -> None:
     told = CallMetadata(b"0123456789abcdef", 1500)
     assert CallMetadata.from_bytes(told.to_bytes()) == told
     assert CallMetadata.from_bytes(pack({"client": told.client, "left_ms": 1500, "later": [1]})) == told
+
+
+def test_what_would_wait_too_long_for_its_turn_is_refused_and_another_task_is_not(asking: Asking) -> None:
+    started, let_go = threading.Event(), threading.Event()
+
+    def work(requests: list[Request]) -> None:
+        started.set()
+        let_go.wait(PATIENCE_S)
+        done(requests)
+
+    lane = Lane[Request]("long", {"predict": 1000}, work, fair=True, longest_s=0.0)
+    taken = [lane.offer(asking("reach")[0]) is None for _ in range(20)]
+    assert taken == [True] * 8 + [False] * 12
+    lane.start()
+    assert started.wait(PATIENCE_S)
+    assert lane.offer(asking("other")[0]) is None
+    let_go.set()
+    lane.close(PATIENCE_S)

@@ -7,7 +7,7 @@ import pytest
 import zenoh
 
 from crkr.protocol import CrkrError, task_key
-from crkr.server.metrics.latency import Latencies
+from crkr.server.metrics.durations import Latencies
 from crkr.server.queries.intake import Intake
 from crkr.server.queries.queue import busy
 from crkr.server.queries.refusals import Refuser
@@ -72,7 +72,7 @@ def test_telling_what_was_asked_wrongly_does_not_hold_up_predictions(
         refuser.close(1.0)
 
 
-def test_who_adds_more_than_can_be_told_is_slowed_to_that() -> None:
+def test_adding_more_refusals_than_can_be_sent_is_slowed() -> None:
     told: list[CrkrError] = []
     refuser = Refuser()
     refuser.start()

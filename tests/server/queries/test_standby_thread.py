@@ -1,67 +1,69 @@
-"""Of a relay's threads one is on duty, whatever becomes of the others."""
+"""One thread is always at work, whatever becomes of those that block."""
 
 import threading
 from typing import Any
 
 import pytest
 
-from crkr.server.queries.standby_thread import Relay
+from crkr.server.queries.standby_thread import StandbyThread
 
 
-class Desk:
-    """Work that takes a task at a time from a list, and is held up by those that wait for `let_go`."""
+class BlockingWork:
+    """Work that takes a task at a time from a list, and is blocked by those that wait for `let_go`."""
 
     def __init__(self, tasks: list[str]) -> None:
         self.tasks = tasks
         self.done: list[tuple[int, str]] = []
         self.let_go = threading.Event()
         self.ended: list[int] = []
-        self.relay = Relay(self.work, "desk")
+        self.standby = StandbyThread(self.run, "work")
 
-    def work(self, turn: int) -> None:
-        on_duty = True
-        while on_duty and self.tasks:
+    def run(self, turn: int) -> None:
+        goes_on = True
+        while goes_on and self.tasks:
             task = self.tasks.pop(0)
-            self.relay.begin(turn)
+            self.standby.begin(turn)
             if task == "stuck":
                 self.let_go.wait(30)
             self.done.append((turn, task))
-            on_duty = self.relay.end(turn)
+            goes_on = self.standby.end(turn)
         self.ended.append(turn)
 
 
-def until(processes: Any, desk: Desk, count: int) -> None:
-    processes.wait_until(lambda: len(desk.done) == count)
+def until(processes: Any, work: BlockingWork, count: int) -> None:
+    processes.wait_until(lambda: len(work.done) == count)
 
 
-def test_another_thread_takes_over_from_one_that_is_held_up(processes: Any) -> None:
-    desk = Desk(["a", "stuck", "b", "stuck", "c"])
-    desk.relay.start()
-    until(processes, desk, 3)
-    assert desk.done == [(1, "a"), (2, "b"), (3, "c")]
-    assert desk.ended == [3]
-    desk.let_go.set()
-    until(processes, desk, 5)
-    assert sorted(desk.done) == [(1, "a"), (1, "stuck"), (2, "b"), (2, "stuck"), (3, "c")]
-    processes.wait_until(lambda: sorted(desk.ended) == [1, 2, 3])  # those that were held up took nothing more
-    desk.relay.join(30.0)
+def test_another_thread_replaces_one_that_blocks(processes: Any) -> None:
+    work = BlockingWork(["a", "stuck", "b", "stuck", "c"])
+    work.standby.start()
+    until(processes, work, 3)
+    assert work.done == [(1, "a"), (2, "b"), (3, "c")]
+    assert work.ended == [3]
+    work.let_go.set()
+    until(processes, work, 5)
+    assert sorted(work.done) == [(1, "a"), (1, "stuck"), (2, "b"), (2, "stuck"), (3, "c")]
+    processes.wait_until(lambda: sorted(work.ended) == [1, 2, 3])  # those that were blocked take nothing more
+    work.standby.join(30.0)
 
 
-def test_no_more_threads_are_held_up_than_a_bounded_number(processes: Any) -> None:
-    desk = Desk(["stuck"] * 40)
-    desk.relay.start()
-    processes.wait_until(lambda: len(desk.tasks) == 24)
-    assert not threading.Event().wait(0.3)  # six times the relay's patience
-    assert len(desk.tasks) == 24
-    desk.let_go.set()
-    until(processes, desk, 40)
-    desk.relay.join(30.0)
+def test_the_number_of_blocked_threads_is_bounded(processes: Any) -> None:
+    work = BlockingWork(["stuck"] * 40)
+    work.standby.start()
+    processes.wait_until(lambda: len(work.tasks) == 24)
+    blocked = [thread for thread in threading.enumerate() if thread.name == "work"]
+    assert len(blocked) == 16
+    blocked[0].join(0.3)  # six times as long as it takes to be replaced
+    assert len(work.tasks) == 24
+    work.let_go.set()
+    until(processes, work, 40)
+    work.standby.join(30.0)
 
 
 @pytest.mark.parametrize("count", [1, 500])
-def test_one_that_is_never_held_up_stays_on_duty(count: int, processes: Any) -> None:
-    desk = Desk([str(number) for number in range(count)])
-    desk.relay.start()
-    until(processes, desk, count)
-    assert {turn for turn, _ in desk.done} == {1}
-    desk.relay.join(30.0)
+def test_one_that_is_never_held_up_stays_goes_on(count: int, processes: Any) -> None:
+    work = BlockingWork([str(number) for number in range(count)])
+    work.standby.start()
+    until(processes, work, count)
+    assert {turn for turn, _ in work.done} == {1}
+    work.standby.join(30.0)

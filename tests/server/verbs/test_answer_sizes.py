@@ -190,7 +190,9 @@ def test_a_model_from_an_earlier_log_that_no_message_holds_answers_all_the_same(
     log.append_reports([PendingReport("early", trials)])
     log.close()
     ask = connect(start_server(data=tmp_path / "data").endpoint)
-    active = ask("task/early/rpc/status")["active"]
+    status = ask("task/early/rpc/status")
+    assert "error" not in status
+    active = status["active"]
     assert active > most
     error = ask("task/early/rpc/model")["error"]
     assert (error["code"], error["details"]) == ("INVALID", {"active": active, "most": most})

@@ -22,7 +22,7 @@ def test_the_same_trials_again_are_duplicates_with_their_first_positions(ask: As
     assert len(stored(ask)) == 4
 
 
-def test_who_reported_it_first_stays(ask: Ask, make_trial: MakeTrial) -> None:
+def test_the_first_reporter_stays(ask: Ask, make_trial: MakeTrial) -> None:
     ask(REPORT, {"trials": [make_trial(0, worker="ada", info={"n": 1}, model_version=1)]})
     assert ask(REPORT, {"trials": [make_trial(0, worker="eve", info={}, model_version=9)]})["duplicates"] == 1
     [sample] = stored(ask)

@@ -17,7 +17,7 @@ from crkr.server.learning.fit import Fitting
 from crkr.server.learning.tasks import ServedTask, Tasks
 from crkr.server.learning.thread import Learning
 from crkr.server.log import SqliteLog
-from crkr.server.metrics.latency import Latencies
+from crkr.server.metrics.durations import Latencies
 from crkr.server.queries.request import Request
 from crkr.server.session import open_session
 from crkr.server.verbs.admin import Change, read_change
@@ -92,7 +92,7 @@ def test_archiving_again_is_answered_as_the_first_time(ask: Ask, make_trial: Mak
     assert ask("task/reach/rpc/status")["seq"] == 3
 
 
-def test_who_waits_at_the_end_is_answered_by_what_was_stored(
+def test_requests_that_wait_at_the_end_are_answered_by_what_was_stored(
     writer: Writer,
     learning: Learning,
     task: ServedTask,
@@ -148,7 +148,7 @@ def test_what_somebody_waits_for_is_still_learned_at_the_end(
     assert configuring.message["model_version"] == configuring.message["seq"] == 2
 
 
-def test_who_comes_after_the_end_of_learning_is_told_so(learning: Learning, task: ServedTask) -> None:
+def test_requests_after_the_end_of_learning_are_refused(learning: Learning, task: ServedTask) -> None:
     learning.start()
     assert learning.close(5.0)
     failures: list[Exception | None] = []

@@ -1,4 +1,4 @@
-"""Looking at a log that is there: verification, seals, and stored runs."""
+"""Inspection of an existing log: verification, seals, and stored runs."""
 
 from __future__ import annotations
 

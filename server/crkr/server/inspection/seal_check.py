@@ -1,4 +1,4 @@
-"""Looks every row of a long log over after a restart, which itself reads only what learning needs of it.
+"""Checks every row of a long log after a restart, which reads only what learning needs.
 
 A trial's seal covers who reported it, when, and what it said besides. To check a million of them takes as long as the
 whole restart, so it is done afterwards, by a process of its own at the lowest priority:
@@ -33,7 +33,7 @@ _LEAST_PRIORITY: Final = 19
 
 @final
 class SealCheck:
-    """Checks the rows that were there at the start, once.
+    """Checks the rows present at the start, once.
 
     Args:
         path: The log's database.
@@ -49,12 +49,12 @@ class SealCheck:
         self._thread = threading.Thread(target=run_once, args=(self._run,), name="seals", daemon=True)
 
     def start(self) -> None:
-        """Begins, unless there is nothing to check."""
+        """Begin, unless there is nothing to check."""
         if self._tasks:
             self._thread.start()
 
     def stop(self) -> None:
-        """Gives up, and ends the process."""
+        """Give up, and end the process."""
         self._stopped.set()
         with self._starting:
             if self._process is not None:
@@ -111,7 +111,7 @@ class SealCheck:
 
 
 def main(path: Path, tasks: Mapping[str, int]) -> None:
-    """The process: tells of each task what is wrong with it, "" where all is well."""
+    """The process: reports the damage of each task, "" if there is none."""
     with suppress(BrokenPipeError):  # the server is gone
         for task, upto in tasks.items():
             sys.stdout.write(json.dumps([task, _damage(path, task, upto)]) + "\n")

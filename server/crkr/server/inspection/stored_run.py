@@ -1,6 +1,6 @@
-"""A task's stored trials without its server, or beside it: what `crkr watch --replay` asks for by entry point.
+"""A task's stored trials, read without its server or beside it; `crkr watch --replay` finds this by entry point.
 
-The log is read page by page and nothing is locked or written, so that a server goes on as if nobody looked.
+The log is read page by page. Nothing is locked or written, so a running server is not affected.
 """
 
 from __future__ import annotations
@@ -77,11 +77,11 @@ class StoredRun:
             yield trials, {"seq": after, "eligible": eligible, "active": active}
 
     def close(self) -> None:
-        """Lets go of the log; idempotent."""
+        """Close the log; idempotent."""
         self._reader.close()
 
     def _in_force(self) -> TaskSpec:
-        """Reads the whole log once, which finds missing entries, for the settings that changed."""
+        """Read the whole log once, which finds missing entries, for the settings that changed."""
         first = next(self._reader.read(self._task), None)
         if not isinstance(first, Event) or first.kind != "create":
             raise StorageError(f"the log of task {self._task!r} does not begin with its creation; restore a backup")

@@ -23,12 +23,12 @@ _REPORT: Final = 10_000  # trials in one transaction
 
 
 def main(directory: Path, count: int) -> None:
-    """Read a task's specification as JSON from standard input, and store `count` trials of it."""
+    """Read a task's specification as JSON from standard input and give it `count` trials."""
     fill(directory, TaskSpec.from_dict(json.load(sys.stdin)), count)
 
 
 def fill(directory: Path, spec: TaskSpec, count: int) -> None:
-    """Store `count` successful trials with uniform states, goals and costs, the same ones every time."""
+    """Store `count` successful trials with uniform states, goals and costs; the same ones every time."""
     rng = np.random.default_rng(0)
     state = np.array([[axis.low, axis.high] for axis in spec.state]).T
     goal = np.array([[axis.low, axis.high] for axis in spec.goal]).T

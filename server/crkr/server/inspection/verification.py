@@ -1,4 +1,4 @@
-"""Proves that a data directory holds what it should: the log is whole, and all that is derived from it agrees."""
+"""Verifies a data directory: the log is whole, and everything derived from it agrees."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import numpy as np
 
 from crkr.learner import Kernel, Learner, radii_kdtree, top
 from crkr.protocol import KINDS, CrkrError, NoSamples, StorageError, TaskSpec, Trial, UnknownTask
-from crkr.server.learning.event_application import apply_entries, batches
 from crkr.server.learning.radii_cache import load_radii
-from crkr.server.learning.restore import restore
+from crkr.server.learning.restore import batches, restore
+from crkr.server.learning.tasks import apply_entries
 from crkr.server.log import Event, LogReader
 
 __all__ = ["Verdict", "verify"]
@@ -26,7 +26,7 @@ _STEP: Final = 64  # trials a new model while learning as the server does
 @final
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What a replay of one task showed.
+    """The result of verifying one task.
 
     Attributes:
         task: Its name.
@@ -48,7 +48,7 @@ class Verdict:
 
 
 def verify(log: LogReader, name: str, progress: Callable[[int], None] = lambda _: None) -> Verdict:
-    """Replays a task twice, at once as a restart does and step by step as the server did, and compares.
+    """Replay a task twice, at once as a restart does and step by step as the server did, and compare.
 
     Args:
         log: Where from.
@@ -81,7 +81,7 @@ def verify(log: LogReader, name: str, progress: Callable[[int], None] = lambda _
 @final
 @dataclass(slots=True)
 class _Kept:
-    """A trial as the log's events leave it; nothing of the learner's is used to get there."""
+    """A trial as the log's events leave it, derived without the learner."""
 
     trial: Trial
     cost: float | None
@@ -109,7 +109,7 @@ def _relearn(log: LogReader, name: str, progress: Callable[[int], None]) -> tupl
 
 
 def _compare_selection(learner: Learner, trials: dict[bytes, _Kept], spec: TaskSpec) -> list[str]:
-    """The active set once more, by the batch algorithm over all eligible trials."""
+    """The active set by the batch algorithm over all eligible trials."""
     if spec.selector != "anms":
         return []
     eligible = [kept for kept in trials.values() if _eligible(kept, spec.learn_from)]
@@ -128,7 +128,7 @@ def _eligible(kept: _Kept, learn_from: str) -> bool:
 
 
 def _compare_rows(log: LogReader, name: str, trials: dict[bytes, _Kept]) -> list[str]:
-    """What `samples` hands out against what the events say."""
+    """Compare the answers of `samples` with the events."""
     after: int | None = 0
     wrong = count = 0
     while after is not None:

@@ -1,4 +1,4 @@
-"""Fits of the kernel, in a process of their own: the seconds they take must not be the predictions' seconds."""
+"""Fits of the kernel, in a process of their own, so that predictions do not wait for the seconds they take."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _POLL_S: Final = 0.2
 
 @final
 class DueFit:
-    """A fit that nobody asked for: `refit_every` trials have come. Its answers go to the log of the process."""
+    """A fit that is due by `refit_every`, without a request. Its result goes to the process's log."""
 
     verb = "refit"
     size = 0
@@ -47,17 +47,17 @@ class DueFit:
         self.answered = self.held = False
 
     def reply(self, message: Mapping[str, Any]) -> None:
-        """Takes note of the result."""
+        """Log the result."""
         self.answered = True
         logger.info("fit of task %s: %s", self.task, "accepted" if message["accepted"] else "nothing better found")
 
     def fail(self, error: CrkrError) -> None:
-        """Takes note of the failure."""
+        """Log the failure."""
         self.answered = True
         logger.warning("fit of task %s failed: %s", self.task, error.message)
 
     def fail_unexpectedly(self, error: BaseException) -> None:
-        """Takes note of the failure; a defect's traceback is told."""
+        """Log the failure, with the traceback of a defect."""
         if isinstance(error, CrkrError):
             self.fail(error)
             return
@@ -67,7 +67,7 @@ class DueFit:
 
 @final
 class Fitting:
-    """The work of the refit lane, and the process behind it, which is started at the first fit."""
+    """The work of the refit lane, and its process, which starts at the first fit."""
 
     def __init__(self, tasks: Tasks, learning: Learning, writer: Writer) -> None:
         self._tasks, self._learning, self._writer = tasks, learning, writer
@@ -77,7 +77,7 @@ class Fitting:
         self._code = InstalledCode()
 
     def work(self, jobs: list[Job]) -> None:
-        """Fits, stores what was better, and answers."""
+        """Fit, store the result if it is better, and answer."""
         for job in jobs:
             task = self._tasks.get(job.task)
             if isinstance(job, Request):
@@ -95,14 +95,14 @@ class Fitting:
             self._writer.commit(task, Change("fit", {**body, **evidence}, _answer(found)), job, configured)
 
     def stop(self) -> None:
-        """Gives up the fit at hand and ends the process."""
+        """Give up the present fit and end the process."""
         self._stopped.set()
         if self._process is not None:
             self._process.terminate()
             self._process.join(0.5)
 
     def _problem(self, task: ServedTask) -> FitProblem:
-        """What is to be fitted; only the learning thread may ask the learner."""
+        """The problem to fit; only the learning thread may ask the learner."""
         future: Future[FitProblem] = Future()
 
         def begin(_result: Any, failure: Exception | None) -> None:
@@ -158,7 +158,7 @@ class Fitting:
 
 
 def _serve(pipe: Connection) -> None:
-    """The process: fits what it is sent until the server is gone."""
+    """The process: fit each problem received, until the server is gone."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the server, which ends this process
     with suppress(EOFError, OSError):
         while True:

@@ -1,4 +1,4 @@
-"""Publishes what became of a model, for whoever mirrors or watches it."""
+"""Publish each change of a model, for mirrors and dashboards."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ logger = logging.getLogger(__name__)
 
 @final
 class Notices:
-    """Sends `model` notices; a subscriber that is slow or away misses them and catches up by query."""
+    """Sends `model` notices. Subscribers that miss one catch up by query."""
 
     def __init__(self, session: zenoh.Session) -> None:
         self._session = session
         self._encoding = zenoh.Encoding(encoding("model_notice"))
 
     def move(self, session: zenoh.Session) -> None:
-        """Sends by another session from now on."""
+        """Publish through another session from now on."""
         self._session = session
 
     def __call__(self, task: ServedTask, before: Model, after: Model) -> None:
-        """Says what changed between two models."""
+        """Publish the ids that entered and left the active set."""
         added, evicted = ([], []) if after.ids is before.ids else _exchanged(before.ids, after.ids)
         notice = {"version": after.version, "active": after.active, "added": added, "evicted": evicted}
         try:
@@ -44,11 +44,11 @@ class Notices:
             )
         except zenoh.ZError as error:  # the session is closing
             logger.debug("model notice was not sent: %s", error)
-        except BaseException as error:  # a panic beneath; learning goes on, and subscribers catch up by query
+        except BaseException as error:  # a panic in Zenoh must not stop learning
             FAULTS.note(error)
 
 
 def _exchanged(before: Sequence[UUID], after: Sequence[UUID]) -> tuple[list[UUID], list[UUID]]:
-    """Who came and who went, in the order of the log."""
+    """Ids added and evicted, in log order."""
     old, new = set(before), set(after)
     return [one for one in after if one not in old], [one for one in before if one not in new]

@@ -1,4 +1,4 @@
-"""The selector's radii as bytes beside the log: they make a restart quick, and nothing depends on them."""
+"""The selector's radii, stored beside the log to make a restart quick. Nothing depends on them."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ logger = logging.getLogger(__name__)
 
 @final
 class RadiiKeeper:
-    """Keeps the radii of long tasks every now and then, so that a restart after a crash is quick too."""
+    """Stores the radii of long tasks from time to time, so that a restart after a crash is quick too."""
 
     def __init__(self, log: TaskLog) -> None:
         self._log = log
@@ -51,7 +51,7 @@ class RadiiKeeper:
 
 
 def save_radii(log: TaskLog, task: str, radii: RadiiCache) -> None:
-    """Keeps the radii; what goes wrong is only logged."""
+    """Store the radii; a failure is only logged."""
     data = b"".join(
         np.ascontiguousarray(column, dtype=dtype).tobytes()
         for column, dtype in ((radii.seqs, "<i8"), (radii.squared, "<f8"), (radii.suppressors, "<i8"))

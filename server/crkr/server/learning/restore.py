@@ -1,10 +1,10 @@
-"""From the log back to a served task."""
+"""Restore served tasks from the log."""
 
 from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Final
@@ -13,24 +13,23 @@ import numpy as np
 
 from crkr.learner import TrialColumns
 from crkr.protocol import KINDS, CrkrError, GoalDimension, StateDimension, StorageError, TaskSpec, UnknownTask
-from crkr.server.learning.event_application import apply_entries, batches
 from crkr.server.learning.radii_cache import load_radii
-from crkr.server.learning.tasks import ServedTask
+from crkr.server.learning.tasks import ServedTask, apply_entries
 from crkr.server.log import Event, LoggedTrial, LogReader
 
-__all__ = ["FEW", "restore", "restore_all"]
+__all__ = ["FEW", "batches", "restore", "restore_all"]
 
 logger = logging.getLogger(__name__)
 
 _BATCH: Final = 4096
 _LONGEST: Final = 1000  # characters of what is wrong with a task
-FEW: Final = 5000  # entries that are read as whole rows, each looked over; longer logs by columns, their radii kept
+FEW: Final = 5000  # entries read as whole rows, each checked; longer logs are read by columns
 
 
 def restore_all(log: LogReader, path: Path) -> list[ServedTask]:
-    """Replays every task while the store looks itself over, on a thread that needs no interpreter for it.
+    """Replay every task while SQLite checks the database on another thread.
 
-    A task that is stored whole and cannot be replayed all the same is among them, marked so: the others are served.
+    A task that cannot be replayed is included, marked as faulty; the others are served.
 
     Raises:
         StorageError: The log, which is at `path`, is damaged.
@@ -50,7 +49,7 @@ def restore_all(log: LogReader, path: Path) -> list[ServedTask]:
 
 
 def _restored(log: LogReader, name: str) -> ServedTask:
-    """The task, or one that only tells why it cannot be restored."""
+    """The task, or a faulty one that says why it cannot be restored."""
     try:
         return restore(log, name)
     except (StorageError, UnknownTask):  # the store's fault, which is everyone's
@@ -76,17 +75,17 @@ def _faulty(log: LogReader, name: str, fault: str) -> ServedTask:
 
 
 def _unknown(name: str) -> TaskSpec:
-    """Stands for a specification that cannot be read, so that the task can be listed."""
+    """A stand-in for a specification that cannot be read, so that the task can be listed."""
     state, goal = StateDimension("unknown", "", 0.0, 1.0, 1.0), GoalDimension("unknown", "", 0.0, 1.0, 1.0)
     return TaskSpec(name, (state,), (goal,), "This task's specification cannot be read.")
 
 
 def restore(log: LogReader, name: str) -> ServedTask:
-    """Replays a task.
+    """Replay a task.
 
     Raises:
         StorageError: The log is damaged.
-        Exception: Whatever the learner has against an event, or says of numbers that an earlier version let in.
+        Exception: The learner refuses an event, or numbers that an earlier version accepted.
     """
     started = time.monotonic()
     first = next(log.read(name), None)
@@ -155,3 +154,19 @@ def _replay(task: ServedTask, entries: Iterator[LoggedTrial | Event]) -> None:
         for entry in [batch] if isinstance(batch, Event) else batch:
             task.note(entry)
         apply_entries(task.learner, batch)
+
+
+def batches(entries: Iterable[LoggedTrial | Event], most: int) -> Iterable[list[LoggedTrial] | Event]:
+    """The same entries in order, with up to `most` neighbouring trials in one batch."""
+    trials: list[LoggedTrial] = []
+    for entry in entries:
+        if isinstance(entry, Event) or len(trials) == most:
+            if trials:
+                yield trials
+            trials = []
+        if isinstance(entry, Event):
+            yield entry
+        else:
+            trials.append(entry)
+    if trials:
+        yield trials

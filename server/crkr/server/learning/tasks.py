@@ -1,8 +1,9 @@
-"""The tasks that are served: each has one learner, changed by one thread, and one model, read by all."""
+"""The tasks in service. Each has one learner, changed by one thread, and one model, read by all threads."""
 
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from itertools import islice
 from typing import Any, Final, final
 from uuid import UUID
@@ -13,7 +14,7 @@ from crkr.learner import Learner, Model, TrialColumns
 from crkr.protocol import KINDS, Internal, TaskSpec, UnknownTask, pack, task_id
 from crkr.server.log import Event, LoggedTrial
 
-__all__ = ["ServedTask", "Tasks", "hyperparameters"]
+__all__ = ["ServedTask", "Tasks", "apply_entries", "hyperparameters"]
 
 _MOST_NAMED: Final = 20  # tasks that an error tells of
 
@@ -22,28 +23,27 @@ _MOST_NAMED: Final = 20  # tasks that an error tells of
 class ServedTask:
     """A task in service.
 
-    Who may change what: the writer `seq`, `agreed`, `configured`, `archived` and the counts, as it commits; the thread
-    that learns `learner`, `model`, `spec`, `eligible` and `fault`. `model` is swapped whole, so that a reader holds one
-    consistent policy and no lock.
+    The writer changes `seq`, `agreed`, `configured`, `archived` and the counts as it commits. The learning thread
+    changes `learner`, `model`, `spec`, `eligible` and `fault`. `model` is replaced as a whole: readers need no lock.
 
     Attributes:
         created: The specification as created.
         dimensions: d.
-        learner: Only for the learning thread, and for the replay before it starts.
-        model: The policy that answers now.
+        learner: For the learning thread, and the replay before it starts.
+        model: The policy that answers predictions.
         spec: The specification in force.
-        agreed: The one that the log says, ahead of `spec` while learning lags behind.
-        seq: Last log position that was committed.
+        agreed: The specification by the log, ahead of `spec` while learning lags behind.
+        seq: Last committed log position.
         configured: Log position of the last change of its settings.
-        archived: Answers reads only.
-        samples: Stored trials by kind, removed ones too.
-        eligible: Trials that may be learned from.
-        fault: Why learning stopped, "" while it goes on.
+        archived: Only reads are answered.
+        samples: Stored trials by kind, removed ones included.
+        eligible: Number of trials that may be learned from.
+        fault: Why learning stopped; "" while it runs.
         restarting: A restart of its outcome model is in the log and not learned yet.
         drift: How far outcomes are from what was expected; None where none are modelled.
-        restored: Its log was replayed to the end; else `fault` says why not, and only what is stored can be looked at.
-        damage: What is wrong with a stored row that no prediction rests on, "" where nothing was found.
-        log_id: Names the log that begins with this task's creation, whichever server reads it.
+        restored: The log was replayed to its end. If not, `fault` says why, and only stored data can be read.
+        damage: A damaged row that no prediction depends on; "" if none was found.
+        log_id: Identifies the log that begins with this task's creation, on any server.
     """
 
     __slots__ = (
@@ -90,18 +90,18 @@ class ServedTask:
         return self.created.name
 
     def begin(self, creation: Event) -> None:
-        """Notes the first entry of its log."""
+        """Note the creation event."""
         self.log_id = task_id(self.name, f"log/{creation.time.hex()}")
 
     def packed_spec(self) -> bytes:
-        """The specification in force as it stands in messages, encoded once."""
+        """The specification in force, encoded once per change."""
         spec, known = self.spec, self._packed
         if known is None or known[0] is not spec:
             known = self._packed = spec, pack(spec.to_dict())
         return known[1]
 
     def note(self, entry: LoggedTrial | Event) -> None:
-        """Counts an entry that the log holds."""
+        """Count a committed entry."""
         self.seq = entry.seq
         if isinstance(entry, LoggedTrial):
             self.samples[entry.trial.kind] += 1
@@ -112,13 +112,13 @@ class ServedTask:
             self.agreed = self.agreed.with_changes(entry.body["changes"])
 
     def note_columns(self, columns: TrialColumns) -> None:
-        """Counts trials that the log holds."""
+        """Count committed trials."""
         self.seq = int(columns.seqs[-1])
         for kind, count in zip(KINDS, np.bincount(columns.kinds, minlength=len(KINDS)).tolist(), strict=True):
             self.samples[kind] += count
 
     def publish(self) -> None:
-        """Makes what the learner knows the policy that answers."""
+        """Let the learner's present model answer predictions."""
         self.drift = self.learner.drift
         self.spec, self.model, self.eligible = self.learner.spec, self.learner.model, self.learner.eligible
 
@@ -135,16 +135,16 @@ def hyperparameters(model: Model) -> dict[str, Any]:
 
 @final
 class Tasks:
-    """All tasks by name. Entries are only ever added, by the writer.
+    """All tasks by name. The writer adds entries; none is removed.
 
-    A list made of the entries is made in one step of the interpreter, so that the writer cannot add one meanwhile.
+    Lists of entries are copied in one step of the interpreter, so that an addition cannot interfere.
     """
 
     def __init__(self) -> None:
         self._by_name: dict[str, ServedTask] = {}
 
     def add(self, task: ServedTask) -> None:
-        """Takes a task into service."""
+        """Put a task into service."""
         self._by_name[task.name] = task
 
     def find(self, name: str) -> ServedTask | None:
@@ -169,7 +169,7 @@ class Tasks:
         return task
 
     def look(self, name: str) -> ServedTask:
-        """The task, restored or not, for what only looks at what is stored; raises `UnknownTask`."""
+        """The task, restored or not, to read stored data; raises `UnknownTask`."""
         task = self._by_name.get(name)
         if task is None:
             known = ", ".join(list(islice(self._by_name, _MOST_NAMED))) or "none yet"
@@ -188,9 +188,32 @@ class Tasks:
         return list(islice(self._by_name.values(), after, end)), end if end < len(self) else None
 
     def faults(self) -> dict[str, str]:
-        """Names of the tasks that are out of order, and what is wrong with them."""
+        """Faulty tasks by name, with the fault."""
         return {task.name: task.fault for task in self.all() if task.fault}
 
     def all(self) -> list[ServedTask]:
-        """Every task, oldest first, those that could not be restored too."""
+        """Every task, oldest first, faulty ones included."""
         return list(self._by_name.values())
+
+
+def apply_entries(learner: Learner, entries: Sequence[LoggedTrial] | Event) -> Any:
+    """Apply trials, or one event, at their log positions, live or replayed; returns the learner's result."""
+    if not isinstance(entries, Event):
+        return learner.apply_trials([entry.seq for entry in entries], [entry.trial for entry in entries])
+    body, seq = entries.body, entries.seq
+    match entries.kind:
+        case "recost":
+            return learner.apply_recost(seq, body["ids"], body["costs"])
+        case "remove":
+            return learner.apply_remove(seq, body["ids"])
+        case "configure":
+            return learner.apply_configure(seq, body["changes"])
+        case "fit":
+            return learner.apply_fit(seq, body["lengthscales"], body["signal_variance"])
+        case "restart":
+            return learner.apply_restart(seq)
+        case "archive":
+            return learner.apply_configure(seq, {})  # advances the position only
+        case "create":  # the learner was made from it
+            return None
+    raise Internal(f"log position {seq} holds an event of kind {entries.kind!r}, which this version does not know")

@@ -1,8 +1,8 @@
-"""The threads that learn: they apply what was committed, in each log's order, and swap in the new models.
+"""The learning threads apply committed entries in log order and publish the new models.
 
-Tasks take turns, a step each, so that one with much to learn does not hold up the others. There are two threads, since
-one step alone may be long: with thousands of active samples, or of changes to a long log. A task whose steps are so is
-the second thread's, and all others are the first one's. At any time a task is in the hands of one thread at most.
+Tasks take turns, one step each, so that a task with much to learn does not delay the others. A single step may be long:
+with thousands of active samples, or a change to a long log. Tasks with long steps are left to a second thread. A task
+is in the hands of at most one thread at a time.
 """
 
 from __future__ import annotations
@@ -18,8 +18,7 @@ from typing import Any, Final, final
 
 from crkr.learner import Model
 from crkr.protocol import Internal
-from crkr.server.learning.event_application import apply_entries
-from crkr.server.learning.tasks import ServedTask
+from crkr.server.learning.tasks import ServedTask, apply_entries
 from crkr.server.log import Event, LoggedTrial
 from crkr.server.metrics.durations import Durations
 from crkr.server.queries.queue import shutting_down
@@ -39,7 +38,7 @@ _LONG_LOG: Final = 5000  # entries, from which on an event may take as long
 @final
 @dataclass(frozen=True, slots=True)
 class _Step:
-    """Entries of one task, then what to do once its model includes them."""
+    """Entries of one task, and what to call once its model includes them."""
 
     task: ServedTask
     entries: Sequence[LoggedTrial] | Event
@@ -48,7 +47,7 @@ class _Step:
 
 @final
 class _Line:
-    """The steps of one task that wait, in the log's order."""
+    """Waiting steps of one task, in log order."""
 
     __slots__ = ("asked", "held", "long", "steps", "task", "trials")
 
@@ -56,18 +55,18 @@ class _Line:
         self.task = task
         self.steps: deque[_Step] = deque()
         self.trials = self.asked = 0  # in the waiting steps
-        self.held = False  # by a thread that is at work on an earlier step
-        self.long = False  # was the last step
+        self.held = False  # a thread works on an earlier step
+        self.long = False  # the last step was
 
     @property
     def slow(self) -> bool:
-        """Whether the next step is expected to be long."""
+        """Whether the next step will probably be long."""
         return self.long or (isinstance(self.steps[0].entries, Event) and self.task.seq > _LONG_LOG)
 
 
 @final
 class _Turns:
-    """The tasks that wait for one of the threads, whose turn it is first."""
+    """Tasks that wait for one thread, the next one first."""
 
     __slots__ = ("changed", "lines")
 
@@ -78,15 +77,15 @@ class _Turns:
 
 @final
 class Learning:
-    """Owns every learner once the server runs.
+    """The learning threads. They own every learner once the server runs.
 
     Args:
-        notice: Told of each new model: task, the one before, the new one. Two threads may, of different tasks.
-        due: Told of each task whose settings ask for a fit now.
-        drifted: Told of each task whose robot has changed, once before the restart of its outcome model is learned.
+        notice: Called with task, old model and new model. Two threads may call it at once, for different tasks.
+        due: Called with each task whose settings ask for a fit now.
+        drifted: Called with each task whose robot has changed, once before the restart of its outcome model is learned.
 
     Attributes:
-        steps: How long it took to learn what was learned together, the new model included.
+        steps: Times of the learning steps, new model included.
     """
 
     def __init__(
@@ -106,22 +105,22 @@ class Learning:
         ]
 
     def start(self) -> None:
-        """Begins to learn."""
+        """Begin to learn."""
         for thread in self._threads:
             thread.start()
 
     @property
     def backlog(self) -> int:
-        """Trials that are committed and wait to be learned from."""
+        """Committed trials that wait to be learned."""
         return self._backlog
 
     @property
     def asked(self) -> int:
-        """Steps that somebody waits to be answered for."""
+        """Steps whose completion a request waits for."""
         return self._asked
 
     def waiting(self, task: ServedTask) -> tuple[int, int]:
-        """Of one task, the trials that wait to be learned from, and the steps that somebody waits for."""
+        """The task's trials that wait to be learned, and its steps that requests wait for."""
         line = self._lines.get(task.name)
         return (0, 0) if line is None else (line.trials, line.asked)
 
@@ -131,13 +130,13 @@ class Learning:
         entries: Sequence[LoggedTrial] | Event = (),
         done: Callable[[Any, Exception | None], None] | None = None,
     ) -> None:
-        """Queues entries in the log's order.
+        """Queue entries, in log order.
 
         Args:
-            task: Whose they are.
-            entries: Trials, none of them too, or one event.
-            done: Called when the model includes them, with what the learner returned and what went wrong: `Internal`
-                where learning is at fault; `ShuttingDown` where the server ends first, from the thread that ends it.
+            task: Their task.
+            entries: Trials, possibly none, or one event.
+            done: Called with the learner's result and the error once the model includes them. The error is `Internal`
+                for a fault in learning, or `ShuttingDown`, on the closing thread, if the server ends first.
         """
         with self._lock:
             if not self._closed:
@@ -156,9 +155,9 @@ class Learning:
             done(None, shutting_down())
 
     def close(self, patience_s: float) -> bool:
-        """Stops once nobody waits for an answer, for half of `patience_s` at most; then who still waits is told.
+        """Stop once no request waits, after `patience_s` / 2 at the latest; then those left get `ShuttingDown`.
 
-        What is left is in the log and will be replayed. False: a step at hand goes on too long.
+        Entries not yet learned are in the log and will be replayed. False: a running step did not end in time.
         """
         until = time.monotonic() + patience_s
         with self._lock:
@@ -178,7 +177,7 @@ class Learning:
         return not any(thread.is_alive() for thread in self._threads)
 
     def _step(self, turns: _Turns) -> bool:
-        """One turn of a task; False at the end."""
+        """One step of the next task; False at the end."""
         taken = self._take(turns)
         if taken is None:
             return False
@@ -191,7 +190,7 @@ class Learning:
         return True
 
     def _take(self, turns: _Turns) -> tuple[_Line, list[_Step]] | None:
-        """The next step of the task whose turn it is, with the trials that follow it at once; None: it is the end."""
+        """The next task's next step, joined with the trials right behind it; None at the end."""
         with self._lock:
             while not turns.lines and not self._over():
                 turns.changed.wait(max(self._deadline - time.monotonic(), 0.0) if self._closing else None)
@@ -213,14 +212,14 @@ class Learning:
             return line, group
 
     def _over(self) -> bool:
-        """Whether to stop: in an orderly end, nobody waits for what is left, or it has taken too long."""
+        """Whether to stop: closing, and no request waits any more or the deadline has passed."""
         if not self._closing:
             return False
         waited_for = any(step.done is not None for line in self._lines.values() for step in line.steps)
         return time.monotonic() >= self._deadline or not waited_for
 
     def _give_back(self, line: _Line, long: bool) -> None:
-        """Ends a turn: the task goes behind all others."""
+        """End a turn: the task goes behind all others."""
         with self._lock:
             line.held, line.long = False, long
             if line.steps:
@@ -267,7 +266,7 @@ class Learning:
 
 
 def _learn(task: ServedTask, group: list[_Step], steps: Durations) -> Any:
-    """Applies one step, or the trials of several; a learner that failed once is left alone, lest it skip an entry."""
+    """Apply one step, or the trials of several. A learner that failed is not used again: it would skip an entry."""
     entries = group[0].entries
     if not isinstance(entries, Event):
         entries = [entry for step in group if not isinstance(step.entries, Event) for entry in step.entries]

@@ -1,7 +1,7 @@
-"""How long those will wait who ask to be answered when their task has learned: as long as those before them, each.
+"""How long a request waits for its task to learn, estimated from the requests before it.
 
-A number of waiting requests alone says little: a thousand reports are learned in a moment, a thousand changes of a long
-task in a minute, and nobody waits that long for an answer.
+Their number alone says little: a thousand reports are learned in a moment, a thousand changes of a long task in a
+minute, and no client waits that long.
 """
 
 from __future__ import annotations
@@ -13,15 +13,15 @@ from typing import Any, Final, final
 
 __all__ = ["Waits"]
 
-_LONGEST_S: Final = 2.0  # that one more may have to wait; an ordinary call gives up after 5 s
-_FEW: Final = 8  # that may wait in any case, or a task with long steps would take no change at all
-_UNTRIED: Final = 64  # that may wait before the first of them was answered
-_WEIGHT: Final = 0.25  # of the newest, in the mean
+_LONGEST_S: Final = 2.0  # an ordinary call gives up after 5 s
+_FEW: Final = 8  # that may always wait, or a task with long steps would accept no change
+_UNTRIED: Final = 64  # that may wait before the first answer
+_WEIGHT: Final = 0.25  # of the newest time in the mean
 
 
 @final
 class _Wait:
-    """Those who wait for one task."""
+    """The requests that wait for one task."""
 
     __slots__ = ("count", "each_s")
 
@@ -32,14 +32,14 @@ class _Wait:
 
 @final
 class Waits:
-    """Counts who waits for which task, and measures how long; any thread may."""
+    """Counts waiting requests by task, and measures how long they wait; any thread may."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._of: dict[str, _Wait] = {}
 
     def too_long(self, task: str) -> bool:
-        """Whether one more would wait too long for its answer."""
+        """Whether one more request would wait too long."""
         with self._lock:
             wait = self._of.get(task)
             if wait is None or wait.count < _FEW:
@@ -49,7 +49,7 @@ class Waits:
     def timed(
         self, task: str, done: Callable[[Any, Exception | None], None]
     ) -> Callable[[Any, Exception | None], None]:
-        """`done`, which is called once, for one more who waits from now on until then."""
+        """Count one more waiting request until the returned callback, which calls `done`, is called."""
         began = time.monotonic()
         with self._lock:
             wait = self._of.setdefault(task, _Wait())

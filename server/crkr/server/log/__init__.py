@@ -1,4 +1,4 @@
-"""The task log: every event of every task, stored before it is acknowledged; all else follows from it."""
+"""The task log: every event of every task, stored before it is acknowledged. All other state is derived from it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How many log positions were acknowledged: the one thing that a database which lost its end cannot tell.
+"""The number of acknowledged log positions, which a database that lost its end cannot know.
 
 SQLite drops whatever stands in its write-ahead log behind a damaged byte, as it must after a crash, and a log that is
 cut off at a commit is whole in itself. So the number is kept in a file of its own, written after each commit and before
@@ -28,7 +28,7 @@ _LINE_BYTES: Final = 30
 
 @final
 class Tally:
-    """The file beside the log, for its one writer.
+    """The file beside the log; for its one writer.
 
     Raises:
         StorageError: It cannot be written.
@@ -48,20 +48,20 @@ class Tally:
             raise StorageError(f"{path} cannot be written: {error.strerror}") from error
 
     def note(self, positions: int) -> None:
-        """Keeps the number of log positions, all tasks together; where it cannot be written, it lags behind."""
+        """Store the number of log positions of all tasks; if that fails, the stored number lags behind."""
         try:
             os.pwrite(self._file, _line(positions), 0)
         except OSError as error:
             logger.warning("the number of acknowledged log positions was not kept: %s", error.strerror)
 
     def close(self) -> None:
-        """Lets go of the file; a later number is not kept, least of all in the next file of the same descriptor."""
+        """Close the file; a later number is not written, and never into another file of the same descriptor."""
         file, self._file = self._file, -1
         os.close(file)
 
 
 def read_tally(directory: Path) -> int:
-    """How many log positions were acknowledged for certain; 0 where nobody kept it.
+    """How many log positions were certainly acknowledged; 0 if the number was not stored.
 
     Raises:
         StorageError: It cannot be read, or is no plain file.
@@ -85,7 +85,7 @@ def read_tally(directory: Path) -> int:
 
 
 def lost_end(path: Path, held: int, acknowledged: int) -> str:
-    """What is said of a log that holds less than was acknowledged."""
+    """The message about a log that lacks acknowledged entries."""
     return (
         f"the task log {path} holds {held} entries, but {acknowledged} were acknowledged: its end is lost, or it is an "
         "older copy"

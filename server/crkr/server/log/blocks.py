@@ -1,4 +1,4 @@
-"""Trials as columns, straight from database rows: for a restart, which reads them all."""
+"""Trials as columns, read from database rows at a restart."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ BLOCK_COLUMNS: Final = "seq, id, kind, success, cost, state, goal, outcome, dige
 
 
 def columns_of(rows: Sequence[tuple[Any, ...]], dimensions: int, outputs: int, measured: int) -> TrialColumns:
-    """Reads rows of `BLOCK_COLUMNS`.
+    """Read rows of `BLOCK_COLUMNS`.
 
     Args:
         rows: As the database gives them.

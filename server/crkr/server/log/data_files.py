@@ -1,7 +1,8 @@
-"""Files of a data directory, opened without trust in those who prepared it: plain files only, and no link is followed.
+"""Files of a data directory, which may have been prepared by an attacker: only plain files are opened, never links.
 
-A symbolic link would have its target written over, a fifo would hold the start up for ever, and a database under two
-names would have two write-ahead logs.
+A symbolic link would have its target overwritten, a fifo would block the start for ever, and a database with two names
+would have two write-ahead logs. File systems of a network cannot hold a task log: they lack locks, or memory
+shared between processes.
 """
 
 from __future__ import annotations
@@ -14,8 +15,23 @@ from typing import Final
 
 from crkr.protocol import StorageError
 
-__all__ = ["check_database_files", "identities", "identity", "open_data_file"]
+__all__ = [
+    "LOCAL_DISK",
+    "NO_LOCKS",
+    "check_database_files",
+    "file_system_of",
+    "identities",
+    "identity",
+    "is_remote",
+    "on_file_system",
+    "open_data_file",
+]
 
+LOCAL_DISK: Final = "keep the data directory on a disk of the machine that runs the server"
+# What locking a file fails with where the file system, or its server, offers no locks.
+NO_LOCKS: Final = (errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS)
+_REMOTE: Final = ("nfs", "cifs", "smb", "lustre", "9p", "ceph", "gpfs", "beegfs", "afs", "fuse.", "virtiofs", "ncpfs")
+_MOUNTS: Final = Path("/proc/self/mountinfo")
 _IN_USE: Final = ("", "-wal", "-shm")  # suffixes of the files that SQLite holds open while a log is in use
 _SUFFIXES: Final = (*_IN_USE, "-journal")
 _KINDS: Final = (
@@ -29,7 +45,7 @@ _KINDS: Final = (
 
 
 def open_data_file(path: Path, flags: int) -> int:
-    """A descriptor of a plain file, which is made where `flags` say so.
+    """A descriptor of a plain file, which is created if `flags` say so.
 
     Raises:
         StorageError: Something else stands under its name.
@@ -51,7 +67,7 @@ def open_data_file(path: Path, flags: int) -> int:
 
 
 def check_database_files(path: Path, *, writing: bool = False) -> None:
-    """Looks at a database and at SQLite's files beside it; those that are not there are all right.
+    """Check a database and SQLite's files beside it; missing ones are fine.
 
     Raises:
         StorageError: One is no plain file, or it is to be written and has another name elsewhere.
@@ -73,7 +89,7 @@ def check_database_files(path: Path, *, writing: bool = False) -> None:
 
 
 def identity(path: Path | str) -> tuple[int, int] | None:
-    """Which file stands under a name, by device and inode; None where there is none."""
+    """Device and inode of a file; None if it does not exist."""
     try:
         found = os.lstat(path)
     except OSError:
@@ -82,7 +98,7 @@ def identity(path: Path | str) -> tuple[int, int] | None:
 
 
 def identities(path: Path) -> dict[str, tuple[int, int] | None]:
-    """Which files stand under the names of a database in use."""
+    """Device and inode of each file of a database in use."""
     return {name: identity(name) for name in (f"{path}{suffix}" for suffix in _IN_USE)}
 
 
@@ -92,3 +108,34 @@ def _refuse_other_kinds(path: Path, mode: int) -> None:
     kind = next((name for matches, name in _KINDS if matches(mode)), "something else")
     advice = "; to keep the log elsewhere, give that directory as --data" if stat.S_ISLNK(mode) else ""
     raise StorageError(f"{path} is {kind}, not a plain file; remove it{advice}")
+
+
+def file_system_of(path: Path) -> str | None:
+    """The type of the file system that holds a path, such as "ext4" or "nfs4"; None if unknown."""
+    where = os.path.realpath(path)
+    try:
+        lines = _MOUNTS.read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:
+        return None
+    best, kind = "", None
+    for line in lines:
+        mount, separator, source = line.partition(" - ")
+        words, about = mount.split(" "), source.split(" ")
+        if not separator or len(words) < 5:
+            continue
+        point = words[4].encode().decode("unicode_escape") if "\\" in words[4] else words[4]  # \040 is a space
+        inside = where == point or where.startswith(point.rstrip("/") + "/")
+        if inside and len(point) >= len(best):  # the last of equals lies on top
+            best, kind = point, about[0]
+    return kind
+
+
+def is_remote(kind: str | None) -> bool:
+    """Whether a type is one of a network's file systems."""
+    return kind is not None and kind.startswith(_REMOTE)
+
+
+def on_file_system(path: Path) -> str:
+    """The file system in brackets, for messages; "" if unknown."""
+    kind = file_system_of(path)
+    return "" if kind is None else f" (file system {kind})"

@@ -1,4 +1,4 @@
-"""One server a data directory: advisory locks that the kernel frees when their holder dies.
+"""Advisory locks that give a data directory to one server; the kernel frees them when the process dies.
 
 The directory itself is locked, which nobody can remove unnoticed while its log is in use, and the file `lock` in it,
 which is all that servers before 0.2 look at. Where the file is removed under a running server, it is made and locked
@@ -17,8 +17,7 @@ from pathlib import Path
 from typing import Final, final
 
 from crkr.protocol import StorageError
-from crkr.server.log.data_files import identity, open_data_file
-from crkr.server.log.file_system import LOCAL_DISK, NO_LOCKS, on_file_system
+from crkr.server.log.data_files import LOCAL_DISK, NO_LOCKS, identity, on_file_system, open_data_file
 
 __all__ = ["DirectoryLock"]
 
@@ -57,7 +56,7 @@ class DirectoryLock:
         self._locked = identity(self._lock)
 
     def check(self) -> None:
-        """Sees to it that the lock file still is the one that is held.
+        """Check that the lock file is still the locked one.
 
         Raises:
             StorageError: It was replaced, and another process holds what stands in its place.
@@ -70,7 +69,7 @@ class DirectoryLock:
         logger.warning("%s was removed while the server runs, and is made anew: leave it there", self._lock)
 
     def release(self) -> None:
-        """Lets go; the file stays, it means nothing by itself."""
+        """Unlock. The file stays; it means nothing by itself."""
         os.close(self._file)
         os.close(self._directory)
 
@@ -125,7 +124,7 @@ class DirectoryLock:
 
 
 def _try_record_lock(file: int) -> None:
-    """Takes and gives back a lock on one byte, as SQLite does, which itself takes `ENOLCK` for a busy database."""
+    """Take and release a lock on one byte, as SQLite does, which itself takes `ENOLCK` for a busy database."""
     try:
         fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, _FAR)
         fcntl.lockf(file, fcntl.LOCK_UN, 1, _FAR)

@@ -1,4 +1,4 @@
-"""What the log holds: trials and the other events of a task, numbered together from 1."""
+"""Entries of the log: trials and other events of a task, numbered together from 1."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class LoggedTrial:
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Event:
-    """Anything but a trial.
+    """An entry other than a trial.
 
     Attributes:
         seq: Log position in its task.
@@ -60,7 +60,7 @@ class PendingReport:
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Stored:
-    """What became of a report that was stored.
+    """The result of a stored report.
 
     Attributes:
         seqs: Log positions in the order of the report, a duplicate's original one.

@@ -1,4 +1,4 @@
-"""Journals that were left beside another database: SQLite takes them for that database's own.
+"""Detects journals left beside a database that they do not belong to; SQLite would apply them to it.
 
 Their pages would replace those of the log. What tells of a write-ahead log: a task's creation never changes, so the
 database as its last checkpoint left it and the database with its write-ahead log must agree on every creation that both
@@ -46,7 +46,7 @@ def refuse_foreign_wal(connection: sqlite3.Connection, path: Path) -> None:
 
 
 def refuse_foreign_journal(path: Path) -> bool:
-    """Looks at the rollback journal beside a database; returns whether there is one that SQLite has to play back.
+    """Look at the rollback journal beside a database; returns whether SQLite has to play one back.
 
     Raises:
         StorageError: It is another database's, or of a change that no crkr makes.
@@ -76,7 +76,7 @@ def refuse_foreign_journal(path: Path) -> bool:
 
 
 def _start(path: Path) -> bytes:
-    """As much of a file as any journal of ours holds, and a little more."""
+    """The start of a file, a little more than any journal of ours holds."""
     file = open_data_file(path, os.O_RDONLY)
     try:
         return os.read(file, 4 * _LARGEST_PAGE)
@@ -104,7 +104,7 @@ def _contradicts(connection: sqlite3.Connection, path: Path, beside: Path) -> bo
 
 
 def _alone(path: Path) -> dict[int, tuple[Any, ...]]:
-    """Creations of the file without its write-ahead log; none where it cannot be read so."""
+    """Creation events in the file without its write-ahead log; none if it cannot be read that way."""
     try:
         connection = sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro&immutable=1", uri=True)
         try:

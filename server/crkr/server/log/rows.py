@@ -1,4 +1,4 @@
-"""Trials as database rows, and back; whoever reads one knows that it is what was stored.
+"""Trials as database rows and back, with digests that prove a row is what was stored.
 
 A trial's `digest` column holds two things: 16 bytes over its content, by which a report of the same trial is known, and
 8 more, its seal, over those and over all else that stands in the row. Rows of the first schema have no seal.
@@ -58,7 +58,7 @@ def trial_row(task: int, seq: int, time: float, trial: Trial, digest: bytes) -> 
 
 
 def trial_of(row: tuple[Any, ...]) -> LoggedTrial:
-    """Reads `ROW_COLUMNS`.
+    """Read `ROW_COLUMNS`.
 
     Raises:
         StorageError: The row is not what was stored.
@@ -84,7 +84,7 @@ def trial_of(row: tuple[Any, ...]) -> LoggedTrial:
 
 
 def wire_of(row: tuple[Any, ...]) -> dict[str, Any]:
-    """Reads `ROW_COLUMNS` straight into an entry of a `samples` page; no arrays are made on the way.
+    """Read `ROW_COLUMNS` directly into an entry of a `samples` page, without arrays.
 
     Raises:
         StorageError: The row is not what was stored.
@@ -135,12 +135,12 @@ def content_digest(
 
 
 def body_digest(kind: str, body: bytes) -> bytes:
-    """16 bytes that tell whether an event is still what was stored."""
+    """16 bytes that show whether an event is still what was stored."""
     return blake2b(kind.encode() + b"\0" + body, digest_size=16).digest()
 
 
 def check_row(row: tuple[Any, ...]) -> None:
-    """Raises `StorageError` for a row of `ROW_COLUMNS` that is not what was stored."""
+    """Raise `StorageError` for a row of `ROW_COLUMNS` that is not what was stored."""
     (
         seq,
         time,

@@ -1,4 +1,4 @@
-"""Tables of the log's database, and opening one with every doubt cleared first."""
+"""The tables of the log's database, which are checked before it is opened."""
 
 from __future__ import annotations
 
@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import Final
 
 from crkr.protocol import StorageError
-from crkr.server.log.data_files import check_database_files
-from crkr.server.log.file_system import LOCAL_DISK, on_file_system
+from crkr.server.log.data_files import LOCAL_DISK, check_database_files, on_file_system
 
 __all__ = [
     "FILE_NAME",
@@ -65,7 +64,7 @@ _STATISTICS: Final = {
 
 @contextmanager
 def storage_errors(doing: str) -> Iterator[None]:
-    """Turns what SQLite raises into `StorageError`, naming what was being done."""
+    """Turn SQLite's errors into `StorageError`, with what was being done."""
     try:
         yield
     except sqlite3.Error as error:
@@ -81,7 +80,7 @@ def storage_errors(doing: str) -> Iterator[None]:
 
 @contextmanager
 def read_errors(doing: str) -> Iterator[None]:
-    """The same for reading, where a column of another type than was ever stored is damage too."""
+    """The same for reading, where a column of the wrong type is damage too."""
     try:
         with storage_errors(doing):
             yield
@@ -90,7 +89,7 @@ def read_errors(doing: str) -> Iterator[None]:
 
 
 def connect(path: Path, *, read_only: bool = False) -> sqlite3.Connection:
-    """A connection with the log's settings; transactions are begun by hand.
+    """A connection with the log's settings, without automatic transactions.
 
     Raises:
         StorageError: The database or a file beside it is no plain file.
@@ -113,7 +112,7 @@ def connect(path: Path, *, read_only: bool = False) -> sqlite3.Connection:
 
 
 def open_database(path: Path) -> sqlite3.Connection:
-    """Opens the log for writing, creating it where there is none.
+    """Open the log for writing, creating it if missing.
 
     Raises:
         StorageError: It is damaged, of a newer version, no log at all, or cannot be written.
@@ -149,7 +148,7 @@ def check_version(connection: sqlite3.Connection, path: Path) -> bool:
 
 
 def check_schema(connection: sqlite3.Connection, path: Path) -> None:
-    """Compares tables and indexes with those that crkr makes, before anything is read from them.
+    """Compare tables and indexes with those that crkr makes, before anything is read.
 
     A trigger would change what was just acknowledged, and a view in a table's place may have no end.
 
@@ -175,7 +174,7 @@ def _objects(connection: sqlite3.Connection) -> dict[tuple[str, str], tuple[str,
 
 @cache
 def _expected() -> dict[tuple[str, str], tuple[str, str]]:
-    """What SQLite keeps of our own statements."""
+    """The schema as SQLite stores it for our own statements."""
     connection = sqlite3.connect(":memory:")
     try:
         connection.executescript(TABLES + CACHE)

@@ -1,4 +1,4 @@
-"""The task log in one SQLite file: one file, so that reports of all tasks share one commit and one backup."""
+"""The task log in one SQLite file, so that the reports of all tasks share one commit and one backup."""
 
 from __future__ import annotations
 
@@ -14,10 +14,9 @@ from typing import Any, Final, final
 
 from crkr.protocol import Conflict, StorageError, TaskSpec, Trial, id_from_wire, pack, unpack
 from crkr.server.log.acknowledged_count import TALLY_NAME, Tally, lost_end, read_tally
-from crkr.server.log.data_files import check_database_files, identities, identity
+from crkr.server.log.data_files import LOCAL_DISK, check_database_files, file_system_of, identities, identity, is_remote
 from crkr.server.log.directory_lock import DirectoryLock
 from crkr.server.log.entries import Event, LoggedTrial, PendingReport, Stored
-from crkr.server.log.file_system import LOCAL_DISK, file_system_of, is_remote
 from crkr.server.log.journal_check import refuse_foreign_journal
 from crkr.server.log.rows import DIGEST_BYTES, ROW_COLUMNS, TRIAL_COLUMNS, body_digest, changed_digest, trial_row
 from crkr.server.log.schema import FILE_NAME, check_schema, connect, open_database, storage_errors
@@ -59,6 +58,7 @@ class SqliteLog:
             self._files = identities(self.path)
             self._where = str(directory)
             self._directory: tuple[int, int, int] | None = None  # as it was when all names were looked at
+            self._seen: tuple[tuple[int, int, int] | None, int] = None, 0  # a directory, and since when it is so [ns]
             self.reads = SqliteReader(self.path)
             undo.callback(self.reads.close)
             self._last = self.reads.positions()
@@ -72,7 +72,7 @@ class SqliteLog:
         self._closing = self._closed = False
 
     def create(self, spec: TaskSpec) -> Event:
-        """Stores a new task; its create event has seq 1."""
+        """Store a new task; its create event has seq 1."""
         with self._transaction(f"create task {spec.name!r}") as connection:
             cursor = connection.execute("INSERT INTO task (name) VALUES (?)", (spec.name,))
             key = int(cursor.lastrowid or 0)
@@ -82,7 +82,7 @@ class SqliteLog:
         return event
 
     def append_reports(self, reports: Sequence[PendingReport]) -> list[Stored | Conflict]:
-        """Stores several reports in one transaction; a report in conflict leaves the others alone."""
+        """Store several reports in one transaction; a report in conflict leaves the others alone."""
         last = {report.task: self._last[report.task] for report in reports}
         with self._transaction("store trials") as connection:
             now = time.time()
@@ -99,7 +99,7 @@ class SqliteLog:
     def _append_report(
         self, connection: sqlite3.Connection, report: PendingReport, last: int, now: float
     ) -> Stored | Conflict:
-        """Finds every known id first, so that a conflict stores nothing of its report."""
+        """Look up every id before storing, so that a report in conflict stores nothing."""
         key = self._keys[report.task]
         seqs: list[int] = []
         fresh: list[LoggedTrial] = []
@@ -120,7 +120,7 @@ class SqliteLog:
         return Stored(tuple(seqs), tuple(fresh))
 
     def append_event(self, task: str, kind: str, body: Mapping[str, Any]) -> Event:
-        """Stores an event and brings the trials it names up to date."""
+        """Store an event and update the trials it names."""
         key, seq = self._keys[task], self._last[task] + 1
         with self._transaction(f"store {kind} of task {task!r}") as connection:
             event = _insert_event(connection, key, seq, kind, body)
@@ -135,7 +135,7 @@ class SqliteLog:
         return event
 
     def save_cache(self, task: str, version: int, data: bytes) -> None:
-        """Keeps bytes that belong to a log position, in place of the ones before."""
+        """Cache bytes that belong to a log position, replacing earlier ones."""
         with self._transaction(f"store the cache of task {task!r}") as connection:
             connection.execute(
                 "INSERT OR REPLACE INTO cache (task, version, data, digest) VALUES (?, ?, ?, ?)",
@@ -143,10 +143,10 @@ class SqliteLog:
             )
 
     def close(self) -> None:
-        """Empties the write-ahead log into the database and frees the directory; idempotent.
+        """Empty the write-ahead log into the database and unlock the directory; idempotent.
 
-        A commit that is under way is waited for. One that takes long is left to end by itself, and then closes the log;
-        that is told by a `StorageError`.
+        A running commit is waited for. One that outlasts the patience closes the log itself when it ends, and this call
+        raises `StorageError`.
         """
         self._closing = True
         if not self._writing.acquire(timeout=_CLOSE_PATIENCE_S):
@@ -157,7 +157,7 @@ class SqliteLog:
             self._writing.release()
 
     def _end(self) -> None:
-        """Whoever calls it holds the writing lock: SQLite must not be closed under a statement that runs."""
+        """Close everything. The caller holds the writing lock: SQLite must not be closed under a statement."""
         if self._closed:
             return
         self._closed = True
@@ -193,18 +193,20 @@ class SqliteLog:
                 self._end_if_closing()
 
     def _refuse_moved_files(self, doing: str) -> None:
-        """What SQLite stored in a file that has lost its name would be nowhere after the end.
+        """Raise `StorageError` if a file of the log has lost its name: what SQLite writes to it would be lost.
 
-        A directory's time of change tells for all names in it, but not of two changes in one tick of the clock.
+        The directory's time of change covers all names in it, but two changes in one tick of the clock share a time.
+        So an unchanged directory is trusted only if the names were last checked more than a tick after its change.
         """
-        directory = self._look_at_directory()
+        directory, now = self._look_at_directory(), time.monotonic_ns()
         if directory is not None and directory == self._directory:
             return
+        if directory != self._seen[0]:
+            self._seen = directory, now
         moved = [name for name, which in self._files.items() if identity(name) != which]
         if not moved:
             self._lock.check()
-            settled = directory is not None and time.time_ns() - directory[2] > _TICK_NS
-            self._directory = directory if settled else None
+            self._directory = directory if now - self._seen[1] > _TICK_NS else None
             return
         if str(self.path) not in moved:
             with suppress(sqlite3.Error):  # what only the lost file holds is brought into the database
@@ -215,7 +217,7 @@ class SqliteLog:
         )
 
     def _look_at_directory(self) -> tuple[int, int, int] | None:
-        """Which directory that is, and when a name in it changed last [ns]."""
+        """The directory's device, inode and last change of a name [ns]; None if it is gone."""
         try:
             found = os.stat(self._where)
         except OSError:
@@ -223,7 +225,7 @@ class SqliteLog:
         return found.st_dev, found.st_ino, found.st_mtime_ns
 
     def _refuse_changes_of_others(self, doing: str) -> None:
-        """Notices inside a transaction that another process wrote, by the one number that SQLite keeps of that."""
+        """Raise `StorageError` if another process changed the entries; SQLite counts its writes in `data_version`."""
         version = self._read_data_version()
         if version == self._data_version:
             return
@@ -240,7 +242,7 @@ class SqliteLog:
         return int(self._writer.execute("PRAGMA data_version").fetchone()[0])
 
     def _end_if_closing(self) -> None:
-        """What was committed is: an end that goes wrong is no failure of it."""
+        """Close after the last commit; a failure to close is logged, as the commit itself succeeded."""
         if self._closing:
             try:
                 self._end()
@@ -249,7 +251,7 @@ class SqliteLog:
 
 
 def _play_back(path: Path) -> None:
-    """Lets SQLite undo a change that was interrupted, which it does before it reads anything."""
+    """Let SQLite roll back an interrupted change, which it does before its first read."""
     with storage_errors(f"undo what was interrupted in the task log {path}"):
         connection = connect(path)
         try:
@@ -259,7 +261,7 @@ def _play_back(path: Path) -> None:
 
 
 def _refuse_what_lost_its_end(path: Path) -> None:
-    """Before the database is opened for writing, which lets SQLite throw away what it cannot read."""
+    """Raise `StorageError` if acknowledged entries are missing, before SQLite may discard what it cannot read."""
     acknowledged, held = read_tally(path.parent), 0
     if path.is_file() and path.stat().st_size:
         reader = SqliteReader(path)
@@ -286,7 +288,7 @@ def _insert_event(connection: sqlite3.Connection, key: int, seq: int, kind: str,
 def _mark(
     connection: sqlite3.Connection, key: int, identity: bytes, *, cost: float | None = None, removed: bool = False
 ) -> None:
-    """Gives a trial another present cost, or the mark of a removed one; what it has of the other stays."""
+    """Set a trial's present cost, or mark it as removed; the other of the two stays."""
     row = connection.execute(_ROW, (key, identity)).fetchone()
     if row is not None:
         cost, removed = row[13] if cost is None else cost, removed or bool(row[14])

@@ -1,4 +1,4 @@
-"""Reading the task log: from any thread, beside a server that writes, without holding it up."""
+"""Reads the task log from any thread, without blocking a server that writes."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _ROW_BYTES: Final = 240  # of a page entry, its vectors and info aside
 
 @final
 class SqliteReader:
-    """A `LogReader` of a database file; every thread gets a connection of its own, which sees whole commits only.
+    """A `LogReader` of a database file. Each thread has its own connection, which sees whole commits only.
 
     Attributes:
         path: The file.
@@ -76,7 +76,7 @@ class SqliteReader:
             return int(self._connection().execute(_LAST, {"task": self._key(task)}).fetchone()[0])
 
     def positions(self) -> dict[str, int]:
-        """Log position of every task's last entry; none where there are no tables yet.
+        """Log position of every task's last entry; empty if there are no tables yet.
 
         Raises:
             StorageError: There are entries of a task that is not listed.
@@ -152,7 +152,7 @@ class SqliteReader:
         return entries, None
 
     def check(self, task: str, upto: int) -> None:
-        """Raises `StorageError` for the first trial up to a log position that is not, whole row, what was stored."""
+        """Raise `StorageError` for the first trial, up to a log position, whose row is not what was stored."""
         with read_errors(f"check the rows of task {task!r}"):
             key = self._key(task)
             for after in range(0, upto, _BLOCK):  # each a read of its own: a long one would keep the log from shrinking
@@ -160,7 +160,7 @@ class SqliteReader:
                     check_row(row)
 
     def load_cache(self, task: str) -> tuple[int, bytes] | None:
-        """The bytes kept last and their log position, or None where there are none or they are damaged."""
+        """The cached bytes and their log position; None if missing or damaged."""
         with read_errors(f"read the cache of task {task!r}"):
             row = (
                 self._connection()
@@ -171,7 +171,7 @@ class SqliteReader:
 
     @contextmanager
     def snapshot(self) -> Iterator[None]:
-        """Inside, this thread reads the log as it was at the first read, whatever a server adds meanwhile."""
+        """Within the block, this thread reads the log as of the first read."""
         connection = self._connection()
         connection.execute("BEGIN")
         try:
@@ -180,13 +180,13 @@ class SqliteReader:
             connection.execute("ROLLBACK")
 
     def integrity(self) -> list[str]:
-        """What the database itself finds wrong with its pages and indexes; reads everything."""
+        """Errors that SQLite finds in the database's pages and indexes; reads everything."""
         with read_errors("check the task log"):
             found = [str(row[0]) for row in self._connection().execute("PRAGMA integrity_check")]
         return [] if found == ["ok"] else found
 
     def backup(self, target: Path) -> None:
-        """Copies the log, as it is at this moment, into a new file; one that is there under its name is whole."""
+        """Copy the present log into a new file, which gets its name only once it is complete."""
         if target.exists():
             raise StorageError(f"{target} exists; choose another file")
         partial = target.with_name(f"{target.name}.{os.getpid()}.partial")  # another backup's is not ours to end
@@ -207,7 +207,7 @@ class SqliteReader:
                 partial.with_name(name).unlink(missing_ok=True)
 
     def close(self) -> None:
-        """Closes the connections of this thread and of those that ended; idempotent.
+        """Close the connections of this thread and of those that ended; idempotent.
 
         One that another thread may just be reading from is left to that thread: to close it would end the process.
         """
@@ -231,7 +231,7 @@ class SqliteReader:
 
 
 def _bytes(value: object) -> int:
-    """At most how many bytes a column takes in a message, numbers aside."""
+    """Most bytes that a column takes in a message, without numbers."""
     return len(value) if isinstance(value, bytes) else 4 * len(value) if isinstance(value, str) else 0
 
 

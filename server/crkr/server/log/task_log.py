@@ -1,4 +1,4 @@
-"""What the service asks of a store, so that another database can stand in."""
+"""The interface of a task log, so that another database can replace SQLite."""
 
 from __future__ import annotations
 
@@ -47,15 +47,15 @@ class LogReader(Protocol):
         ...
 
     def load_cache(self, task: str) -> tuple[int, bytes] | None:
-        """The bytes kept last and their log position, or None where there are none or they are damaged."""
+        """The cached bytes and their log position; None if missing or damaged."""
         ...
 
     def integrity(self) -> list[str]:
-        """What the store itself finds wrong with how it is laid out; reads everything."""
+        """Errors that the store finds in its own layout; reads everything."""
         ...
 
     def backup(self, target: Path) -> None:
-        """Copies the log, as it is at this moment, into a new file; one that is there under its name is whole."""
+        """Copy the present log into a new file, which gets its name only once it is complete."""
         ...
 
 
@@ -71,21 +71,21 @@ class TaskLog(Protocol):
         ...
 
     def create(self, spec: TaskSpec) -> Event:
-        """Stores a new task; its create event has seq 1."""
+        """Store a new task; its create event has seq 1."""
         ...
 
     def append_reports(self, reports: Sequence[PendingReport]) -> list[Stored | Conflict]:
-        """Stores several reports in one transaction; a report in conflict leaves the others alone."""
+        """Store several reports in one transaction; a report in conflict leaves the others alone."""
         ...
 
     def append_event(self, task: str, kind: str, body: Mapping[str, Any]) -> Event:
-        """Stores an event and brings the trials it names up to date."""
+        """Store an event and update the trials it names."""
         ...
 
     def save_cache(self, task: str, version: int, data: bytes) -> None:
-        """Keeps bytes that belong to a log position, in place of the ones before."""
+        """Cache bytes that belong to a log position, replacing earlier ones."""
         ...
 
     def close(self) -> None:
-        """Ends all work; idempotent. Work that goes on for long ends by itself, which is told by a `StorageError`."""
+        """End all work; idempotent. Raises `StorageError` if work outlasts the patience; it then ends by itself."""
         ...

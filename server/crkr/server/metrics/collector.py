@@ -1,7 +1,4 @@
-"""A server's vitals as Prometheus metrics.
-
-Nothing is counted for them: they are read from what the server keeps anyway, at the moment they are asked for.
-"""
+"""Prometheus metrics of a server, read at each scrape from what the server keeps anyway."""
 
 from __future__ import annotations
 
@@ -24,11 +21,11 @@ from prometheus_client.registry import Collector
 from crkr.protocol import KINDS, PROTOCOL_VERSION
 from crkr.server.learning.tasks import ServedTask
 from crkr.server.metrics.durations import BOUNDS_S, Durations
-from crkr.server.metrics.vitals import Vitals
+from crkr.server.metrics.sources import MetricSources
 from crkr.server.thread_faults import FAULTS
 from crkr.server.workers import STATES
 
-__all__ = ["VitalsCollector"]
+__all__ = ["MetricsCollector"]
 
 _BOUNDS: Final = (*(f"{bound:g}" for bound in BOUNDS_S), "+Inf")
 # One number for each task: metric, what it means, from a task.
@@ -44,11 +41,11 @@ _OF_A_TASK: Final = {
 
 
 @final
-class VitalsCollector(Collector):
-    """Reads the vitals of one server at each scrape."""
+class MetricsCollector(Collector):
+    """Reads one server's state at each scrape."""
 
-    def __init__(self, vitals: Vitals) -> None:
-        self._vitals = vitals
+    def __init__(self, sources: MetricSources) -> None:
+        self._sources = sources
         self._about = {"version": version("crkr"), "protocol": str(PROTOCOL_VERSION)}
 
     def collect(self) -> Iterator[Metric]:
@@ -57,8 +54,8 @@ class VitalsCollector(Collector):
         yield from self._threads()
         yield from self._requests()
         yield from self._queues()
-        yield _histogram("crkr_commit_duration_seconds", "Durable commits to the task log.", self._vitals.commits)
-        steps = self._vitals.learning.steps
+        yield _histogram("crkr_commit_duration_seconds", "Durable commits to the task log.", self._sources.commits)
+        steps = self._sources.learning.steps
         yield _histogram("crkr_learning_step_duration_seconds", "Steps of learning, each with a new model.", steps)
         yield from self._tasks()
         yield from self._workers()
@@ -76,7 +73,7 @@ class VitalsCollector(Collector):
         yield GaugeMetricFamily("crkr_threads_ended", "Threads that are no more: restart the server.", ended)
 
     def _requests(self) -> Iterator[Metric]:
-        latencies = self._vitals.latencies
+        latencies = self._sources.latencies
         total = CounterMetricFamily("crkr_requests", "Requests by outcome.", labels=["verb", "code"])
         took = HistogramMetricFamily(
             "crkr_request_duration_seconds", "From taking a request in to its answer, errors aside.", labels=["verb"]
@@ -92,17 +89,17 @@ class VitalsCollector(Collector):
     def _queues(self) -> Iterator[Metric]:
         waiting = GaugeMetricFamily("crkr_queue_waiting", "Requests that wait.", labels=["verb"])
         limit = GaugeMetricFamily("crkr_queue_limit", "Requests that may wait; more are BUSY.", labels=["verb"])
-        for verb, depth in self._vitals.queues().items():
+        for verb, depth in self._sources.queues().items():
             waiting.add_metric([verb], depth["waiting"])
             limit.add_metric([verb], depth["limit"])
         yield from (waiting, limit)
-        backlog = self._vitals.learning.backlog
+        backlog = self._sources.learning.backlog
         yield GaugeMetricFamily("crkr_learning_backlog_trials", "Stored trials that wait to be learned from.", backlog)
 
     def _tasks(self) -> Iterator[Metric]:
         samples = GaugeMetricFamily("crkr_task_samples", "Stored trials.", labels=["task", "kind"])
         single = {name: GaugeMetricFamily(name, text, labels=["task"]) for name, text in _OF_A_TASK.items()}
-        for task in self._vitals.tasks.all():
+        for task in self._sources.tasks.all():
             for kind in KINDS:
                 samples.add_metric([task.name, kind], task.samples[kind])
             for metric, value in zip(single.values(), _numbers(task), strict=True):
@@ -112,8 +109,8 @@ class VitalsCollector(Collector):
     def _workers(self) -> Iterator[Metric]:
         workers = GaugeMetricFamily("crkr_task_workers", "Workers by state.", labels=["task", "state"])
         trials = GaugeMetricFamily("crkr_task_open_trials", "Goals given out and not reported yet.", labels=["task"])
-        totals = self._vitals.workers.totals()
-        for task in self._vitals.tasks.all():
+        totals = self._sources.workers.totals()
+        for task in self._sources.tasks.all():
             states, opened = totals.get(task.name, (Counter[str](), 0))
             for state in STATES:
                 workers.add_metric([task.name, state], states[state])
@@ -122,13 +119,13 @@ class VitalsCollector(Collector):
 
     def _disk(self) -> Iterator[Metric]:
         stored = 0
-        for path in self._vitals.data.glob("*.sqlite3*"):
+        for path in self._sources.data.glob("*.sqlite3*"):
             with suppress(FileNotFoundError):  # a backup that is being made, or SQLite's own at the end
                 stored += path.stat().st_size
         yield GaugeMetricFamily("crkr_log_bytes", "Size of the task log's files.", stored)
         free = 0
         with suppress(OSError):  # moved away: there is no room then
-            disk = os.statvfs(self._vitals.data)
+            disk = os.statvfs(self._sources.data)
             free = disk.f_bavail * disk.f_frsize
         yield GaugeMetricFamily("crkr_disk_free_bytes", "Room for the task log.", free)
 

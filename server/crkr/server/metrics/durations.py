@@ -1,21 +1,21 @@
-"""How long one kind of work takes: noted in passing, made into numbers only when somebody asks."""
+"""How long work takes and how requests end: recorded by one append, made into numbers only when they are read."""
 
 from __future__ import annotations
 
 import threading
 import time
-from collections import deque
-from collections.abc import Iterator, Sequence
+from collections import Counter, deque
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Final, final
+from typing import Any, Final, final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from crkr.protocol import Array
+from crkr.protocol import ADMIN_VERBS, SERVER_VERBS, TASK_VERBS, Array
 
-__all__ = ["BOUNDS_S", "Durations", "Histogram"]
+__all__ = ["BOUNDS_S", "OTHER_VERB", "Durations", "Histogram", "Latencies"]
 
 # Upper bounds of a histogram's buckets, inclusive [s]; one more bucket holds all that took longer.
 BOUNDS_S: Final = (
@@ -23,6 +23,8 @@ BOUNDS_S: Final = (
     *(1e-3 * bound for bound in (1, 2, 5, 10, 20, 50, 100, 200, 500)),
     *(1.0, 2.0, 5.0, 10.0),
 )
+OTHER_VERB: Final = "other"  # stands for unknown verbs, so that clients cannot make up labels
+_VERBS: Final = frozenset({*SERVER_VERBS, *TASK_VERBS, *ADMIN_VERBS})
 _WINDOW: Final = 1024  # that `recent` looks back
 
 
@@ -42,9 +44,9 @@ class Histogram:
 
 @final
 class Durations:
-    """Times of one kind of work since the start. Recording is one append, without a lock: any thread may.
+    """Times of one kind of work since the start. Recording is one append without a lock; any thread may.
 
-    The oldest are counted into the histogram when so many have come that `recent` needs them no more.
+    Times too old for `recent` are counted into the histogram and dropped.
     """
 
     __slots__ = ("_counted", "_counting", "_times", "_total_s")
@@ -56,7 +58,7 @@ class Durations:
         self._total_s = 0.0
 
     def record(self, seconds: float) -> None:
-        """Takes note of one."""
+        """Record one time."""
         self._times.append(seconds)
         if len(self._times) >= 2 * _WINDOW and self._counting.acquire(blocking=False):
             try:
@@ -66,30 +68,30 @@ class Durations:
 
     @contextmanager
     def timing(self) -> Iterator[None]:
-        """Takes note of how long the block takes, unless it raises."""
+        """Record the time of a block, unless it raises."""
         started = time.perf_counter()
         yield
         self.record(time.perf_counter() - started)
 
     def recent(self) -> Array:
-        """The last times [s], a thousand at most."""
+        """The latest times [s], at most 1024."""
         return np.array(self._times.copy())[-_WINDOW:]
 
     @property
     def count(self) -> int:
-        """How many there were."""
+        """Number of times recorded."""
         with self._counting:
             return int(self._counted.sum()) + len(self._times)
 
     def histogram(self) -> Histogram:
-        """How they are distributed."""
-        with self._counting:  # so that none is between the two
+        """Cumulative counts and sum of all times."""
+        with self._counting:  # so that no time is counted in neither
             times = np.array(self._times.copy())
             counts = np.cumsum(self._counted + _tally(times))
             return Histogram(counts.tolist(), self._total_s + float(times.sum()))
 
     def _count_oldest(self) -> None:
-        while len(self._times) >= 2 * _WINDOW:  # or another thread was here just before
+        while len(self._times) >= 2 * _WINDOW:  # unless another thread was faster
             old = np.array([self._times.popleft() for _ in range(_WINDOW)])
             self._counted += _tally(old)
             self._total_s += float(old.sum())
@@ -97,3 +99,44 @@ class Durations:
 
 def _tally(times: Array) -> NDArray[np.int64]:
     return np.bincount(np.searchsorted(BOUNDS_S, times), minlength=len(BOUNDS_S) + 1)
+
+
+@final
+class Latencies:
+    """Times of answers and counts of refusals, by verb; any thread may record."""
+
+    def __init__(self) -> None:
+        self._times: dict[str, Durations] = {}
+        self._refusals: Counter[tuple[str, str]] = Counter()
+        self._counting = threading.Lock()
+
+    def record(self, verb: str, seconds: float) -> None:
+        """Record one answer."""
+        times = self._times.get(verb)
+        if times is None:
+            times = self._times.setdefault(verb, Durations())
+        times.record(seconds)
+
+    def refused(self, verb: str, code: str) -> None:
+        """Count one error reply."""
+        with self._counting:
+            self._refusals[verb if verb in _VERBS else OTHER_VERB, code] += 1
+
+    def summary(self) -> dict[str, Any]:
+        """Verb -> p50 and p99 [us] of the last 1024 answers, and the count since the start."""
+        found: dict[str, Any] = {}
+        for verb, times in list(self._times.items()):
+            recent = times.recent() * 1e6
+            if len(recent):
+                p50, p99 = np.percentile(recent, [50, 99])
+                found[verb] = {"p50": round(float(p50), 1), "p99": round(float(p99), 1), "count": times.count}
+        return found
+
+    def answers(self) -> Mapping[str, Durations]:
+        """Verb -> the times of its answers."""
+        return dict(list(self._times.items()))
+
+    def refusals(self) -> Mapping[tuple[str, str], int]:
+        """(verb, error code) -> how many error replies."""
+        with self._counting:
+            return dict(self._refusals)

@@ -15,8 +15,8 @@ from typing import Any, Final, Self, final
 from prometheus_client import CollectorRegistry, MetricsHandler, ProcessCollector
 
 from crkr.protocol import Unavailable
-from crkr.server.metrics.collector import VitalsCollector
-from crkr.server.metrics.vitals import Vitals
+from crkr.server.metrics.collector import MetricsCollector
+from crkr.server.metrics.sources import MetricSources
 from crkr.server.thread_faults import FAULTS, keep_running
 
 __all__ = ["MetricsEndpoint"]
@@ -57,16 +57,16 @@ class MetricsEndpoint:
         self._thread = threading.Thread(target=keep_running, args=(self._serve,), name="metrics", daemon=True)
         self._thread.start()
 
-    def show(self, vitals: Vitals) -> None:
-        """Answers with a server's metrics too, from now on."""
-        self._registry.register(VitalsCollector(vitals))
+    def show(self, sources: MetricSources) -> None:
+        """Answer with a server's metrics too, from now on."""
+        self._registry.register(MetricsCollector(sources))
 
     def _serve(self) -> bool:
         self._http.serve_forever(_POLL_S)
         return False
 
     def close(self) -> None:
-        """Stops listening."""
+        """Stop listening."""
         self._http.shutdown()
         self._http.server_close()
         self._thread.join(_PATIENCE_S)

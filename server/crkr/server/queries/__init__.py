@@ -1,4 +1,4 @@
-"""Zenoh queries: taken in, queued, answered exactly once or refused."""
+"""Zenoh queries: received, queued, answered exactly once or refused."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What waits to be answered: tasks take turns, and clients, so that one that asks much does not hold up the others."""
+"""Queues in which tasks and clients take turns, so that a busy one does not delay the others."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Final, Generic, TypeVar, final
 
 from crkr.server.queries.request import Job, Request
 
-__all__ = ["FairQueue", "Turns"]
+__all__ = ["FairQueue", "RoundRobin"]
 
 _MOST_OF_A_TASK: Final = 1024
 _MOST: Final = 8192
@@ -16,18 +16,18 @@ _Job = TypeVar("_Job", bound=Job)
 
 
 @final
-class Turns:
-    """Waiting requests, each task's in the order they came. For one thread."""
+class RoundRobin:
+    """Waiting requests, by task in order of arrival. For one thread."""
 
     def __init__(self) -> None:
-        self._by_task: OrderedDict[str, deque[Request]] = OrderedDict()  # none is empty; whose turn is next comes first
+        self._by_task: OrderedDict[str, deque[Request]] = OrderedDict()  # none is empty; the next task comes first
         self._count = 0
 
     def __len__(self) -> int:
         return self._count
 
     def add(self, request: Request) -> bool:
-        """Takes a request in; False: too many wait already."""
+        """Add a request; False if too many wait already."""
         queue = self._by_task.get(request.task)
         if self._count >= _MOST or (queue is not None and len(queue) >= _MOST_OF_A_TASK):
             return False
@@ -38,7 +38,7 @@ class Turns:
         return True
 
     def take(self, most: int) -> list[Request]:
-        """At most so many, one of each task in turn."""
+        """Take at most `most` requests, one of each task in turn."""
         batch: list[Request] = []
         while self._by_task and len(batch) < most:
             task, queue = next(iter(self._by_task.items()))
@@ -51,7 +51,7 @@ class Turns:
         return batch
 
     def put_back(self, requests: Sequence[Request]) -> None:
-        """The last of those taken, in the same order: they are next."""
+        """Put back the last requests taken, in the same order; they are next."""
         for request in reversed(requests):
             self._by_task.setdefault(request.task, deque()).appendleft(request)
             self._by_task.move_to_end(request.task, last=False)
@@ -60,39 +60,44 @@ class Turns:
 
 @final
 class _Line(Generic[_Job]):
-    """The jobs of one client in one task."""
+    """The jobs of one client for one task."""
 
     __slots__ = ("jobs", "oldest")
 
     def __init__(self) -> None:
         self.jobs: list[_Job] = []
-        self.oldest = False  # was taken last time, rather than the one with the least left
+        self.oldest = False  # the oldest job was taken last time, not the one with the least left
 
 
 @final
 class FairQueue(Generic[_Job]):
-    """What waits in a lane: the tasks take turns, and within a task its clients. Not for several threads.
+    """Jobs that wait in a lane. Tasks take turns, and the clients within a task. Not thread-safe.
 
-    Of one client's jobs of one task the oldest is taken, and in every other turn the one with the least left to do, so
-    that a small question does not wait for a giant one that is worked off in slices.
+    Of one client's jobs for one task, the oldest and the one with the least left to do are taken alternately, so that a
+    small question does not wait for a huge one that is answered in slices.
     """
 
     def __init__(self) -> None:
-        # Task -> client -> its jobs; whose turn is next comes first.
+        # Task -> client -> its jobs; the next one comes first.
         self._by_task: OrderedDict[str, OrderedDict[bytes, _Line[_Job]]] = OrderedDict()
         self._count = 0
-        self._place = 0  # of the job that was taken last, among those of its client
+        self._place = 0  # of the last job taken, among its client's jobs
 
     def __len__(self) -> int:
         return self._count
 
+    def wait(self, task: str) -> int:
+        """How many turns a new job of a task would wait."""
+        own = sum(len(line.jobs) for line in self._by_task.get(task, {}).values())
+        return own * len(self._by_task)
+
     def append(self, job: _Job) -> None:
-        """Adds a job behind those of its task and client."""
+        """Add a job behind those of its task and client."""
         self._jobs(job).append(job)
         self._count += 1
 
     def popleft(self) -> _Job:
-        """The next."""
+        """Take the next job."""
         task, clients = next(iter(self._by_task.items()))
         client, line = next(iter(clients.items()))
         jobs, line.oldest = line.jobs, not line.oldest
@@ -108,12 +113,12 @@ class FairQueue(Generic[_Job]):
         return job
 
     def put_back(self, job: _Job) -> None:
-        """The job that was taken last, to its old place among its client's; others have their turns before."""
+        """Put the last job taken back in its place among its client's jobs; the others have their turns first."""
         self._jobs(job).insert(self._place, job)
         self._count += 1
 
     def clear(self) -> list[_Job]:
-        """Takes all."""
+        """Take all jobs."""
         left = [job for clients in self._by_task.values() for line in clients.values() for job in line.jobs]
         self._by_task.clear()
         self._count = 0

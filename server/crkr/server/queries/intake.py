@@ -1,15 +1,16 @@
-"""Takes queries off Zenoh as they come: answers predictions itself, queues all else, refuses what is too much.
+"""The intake receives queries from Zenoh: it answers short predictions, queues the rest, and refuses the excess.
 
-Zenoh's receiving threads only ever put a query into a channel. One thread at a time drains it here, so no client can
-make the server deaf to the others. A client that sends more than can be refused finds the channel full, and its
-connection waits; everyone waits behind what is in the channel, which is why it is not deep. Predictions that take
-little work are answered on this very thread, tasks in turn, as handing them over would cost as much; where one of those
-asked does not read, another thread takes over. All else waits in a lane.
+Zenoh's threads only put each query into a channel, which one thread drains here, so that no client can make the server
+deaf to the others. If a client sends more than can be refused, the channel fills up and its connection waits. The
+channel is short, because all clients wait behind what is in it. Predictions that take little work are answered on this
+thread, tasks in turn, as handing them over would cost as much. If a client does not read its answers, another thread
+takes over. All other requests wait in a lane.
 """
 
 from __future__ import annotations
 
 import logging
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any, Final, final
@@ -17,22 +18,33 @@ from typing import Any, Final, final
 import zenoh
 
 from crkr.protocol import CrkrError, Internal, UnknownTask, Unsupported
-from crkr.server.metrics.latency import OTHER_VERB, Latencies
-from crkr.server.queries.fair_queue import Turns
+from crkr.server.metrics.durations import OTHER_VERB, Latencies
+from crkr.server.queries.fair_queue import RoundRobin
 from crkr.server.queries.queue import Lane, busy, shutting_down
 from crkr.server.queries.refusals import Refuser
 from crkr.server.queries.request import Request, held_bytes, let_go, refuse
-from crkr.server.queries.standby_thread import Relay
+from crkr.server.queries.standby_thread import StandbyThread
 from crkr.server.thread_faults import FAULTS, keep_running
 
 __all__ = ["Intake"]
 
 logger = logging.getLogger(__name__)
 
-_CHANNEL: Final = 1024  # queries, between Zenoh and the intake thread: drained in a tenth of a second
-_ROUND: Final = 64  # queries taken off before predictions are answered again
+_CHANNEL: Final = 1024  # queries; drained within a tenth of a second
+_ROUND: Final = 64  # queries received between two answers
 _BATCH: Final = 64  # predictions answered together
-_SMALL: Final = 4096  # bytes; a larger predict is not even looked at here
+_SMALL: Final = 4096  # bytes; a larger predict goes to a lane
+
+
+@final
+class _Source:
+    """The queries of one session, and the predictions among them that wait; for one thread at a time."""
+
+    __slots__ = ("queries", "waiting")
+
+    def __init__(self, queries: zenoh.Queryable[zenoh.handlers.Handler[zenoh.Query]]) -> None:
+        self.queries = queries
+        self.waiting = RoundRobin()
 
 
 @final
@@ -40,12 +52,12 @@ class Intake:
     """One queryable and the threads that drain it, one at a time.
 
     Args:
-        lanes: verb -> where its requests go.
-        refuser: Tells those who are not let in: a client that does not read their errors must not hold up this thread.
-        predict: Answers predict requests on the intake thread and returns those it left: patient ones for their lane,
-            the others for another round. None: there are none under this key.
-        check_task: Raises `UnknownTask` for a task that is not served, so that its requests take nobody's turn. None:
-            not checked here.
+        lanes: Verb -> the lane of its requests.
+        refuser: Sends refusals, as a client that does not read them must not block this thread.
+        predict: Answers predict requests on the intake thread and returns those left over: patient ones for their lane,
+            the others for the next round. None: this key has no predictions.
+        check_task: Raises `UnknownTask` for a task that is not served, so that its requests take no turns. None: not
+            checked here.
     """
 
     def __init__(
@@ -60,79 +72,74 @@ class Intake:
     ) -> None:
         self._lanes, self._latencies, self._refuser, self._predict = lanes, latencies, refuser, predict
         self._check_task = check_task
-        self._waiting = Turns()
-        self._surplus: list[Callable[[], None]] = []  # lets go of queries that not even a refusal has room for
+        self._surplus: deque[Callable[[], None]] = deque()  # these drop queries whose refusals have no room
         self._stopping = False
         self._key = key
-        self._queries = self._declare(session)
-        self._relay = Relay(self._run, f"intake {key}")
+        self._source = self._declare(session)
+        self._thread = StandbyThread(self._run, f"intake {key}")
 
     def start(self) -> None:
-        """Begins to take queries."""
-        self._relay.start()
+        """Start to receive queries."""
+        self._thread.start()
 
     def move(self, session: zenoh.Session) -> None:
-        """Takes queries from another session; the one before is closed."""
-        self._queries = self._declare(session)
-        self._relay.start()
+        """Receive queries from another session; the previous one is closed."""
+        self._source = self._declare(session)
+        self._thread.start()
 
-    def _declare(self, session: zenoh.Session) -> zenoh.Queryable[zenoh.handlers.Handler[zenoh.Query]]:
-        return session.declare_queryable(self._key, zenoh.handlers.FifoChannel(_CHANNEL), complete=True)
+    def _declare(self, session: zenoh.Session) -> _Source:
+        return _Source(session.declare_queryable(self._key, zenoh.handlers.FifoChannel(_CHANNEL), complete=True))
 
     def stop(self) -> None:
-        """From now on every query is answered with SHUTTING_DOWN; the thread ends with the session."""
+        """Answer every query with SHUTTING_DOWN from now on; the thread ends with the session."""
         self._stopping = True
 
     def join(self, patience_s: float) -> None:
-        """Waits for the thread's end, after the session was closed."""
-        self._relay.join(patience_s)
+        """Wait for the thread to end, after the session was closed."""
+        self._thread.join(patience_s)
 
     def _run(self, turn: int) -> None:
-        keep_running(partial(self._round, turn, self._queries))
+        keep_running(partial(self._round, turn, self._source))
 
-    def _round(self, turn: int, queries: zenoh.Queryable[zenoh.handlers.Handler[zenoh.Query]]) -> bool:
-        """Takes what waits and answers predictions; False where another thread took over, or all is over."""
+    def _round(self, turn: int, source: _Source) -> bool:
+        """Receive queries and answer predictions; False if another thread took over or the session is closed."""
         try:
-            if not self._waiting:
-                query = queries.recv()
-                if not self._relay.on_duty(turn):
-                    return False
-                self._route(query)
-            self._drain(queries)
+            if not source.waiting:
+                self._route(source.queries.recv(), source)
+            self._drain(source)
         except zenoh.ZError:  # the session is closed
-            for request in self._waiting.take(len(self._waiting)):
+            for request in source.waiting.take(len(source.waiting)):
                 request.fail(shutting_down())
             return False
-        return self._answer(turn)
+        return self._answer(turn, source)
 
-    def _drain(self, queries: zenoh.Queryable[zenoh.handlers.Handler[zenoh.Query]]) -> None:
-        """Takes what has come, but not so much that predictions wait for it."""
+    def _drain(self, source: _Source) -> None:
+        """Receive waiting queries, but not so many that predictions wait for it."""
         for _ in range(_ROUND):
-            query = queries.try_recv()
+            query = source.queries.try_recv()
             if query is None:
                 return
-            self._route(query)
+            self._route(query, source)
 
-    def _answer(self, turn: int) -> bool:
-        """Answers predictions; False where that took so long that another thread took over."""
-        if not (self._surplus or (self._waiting and self._predict is not None)):
+    def _answer(self, turn: int, source: _Source) -> bool:
+        """Answer predictions; False if that blocked until another thread took over."""
+        if not (self._surplus or (source.waiting and self._predict is not None)):
             return True
-        surplus, self._surplus = self._surplus, []
-        batch = [] if self._predict is None else self._waiting.take(_BATCH)
+        batch = [] if self._predict is None else source.waiting.take(_BATCH)
         left: Sequence[Request] = ()
         try:
-            self._relay.begin(turn)
+            self._thread.begin(turn)
             if batch and self._predict is not None:
                 left = self._predict(batch)
-            for end in surplus:
-                end()
+            while self._surplus:
+                self._surplus.popleft()()
         except BaseException as error:
             for request in batch:
                 request.fail_unexpectedly(error)
-        on_duty = self._relay.end(turn)
+        on_duty = self._thread.end(turn)
         try:
             if on_duty:
-                self._waiting.put_back([request for request in left if not request.patient])
+                source.waiting.put_back([request for request in left if not request.patient])
             for request in left:
                 if request.patient or not on_duty:
                     self._hand_over(request)
@@ -140,14 +147,14 @@ class Intake:
             FAULTS.note(error)
         return on_duty
 
-    def _route(self, query: zenoh.Query) -> None:
-        """Whatever the query is, it is answered or queued, and this thread lives on."""
+    def _route(self, query: zenoh.Query, source: _Source) -> None:
+        """Answer or queue a query, whatever it is; never raises."""
         try:
             request = Request(query, self._latencies)
             if self._stopping:
                 self._refuse(request, shutting_down())
             elif request.verb == "predict" and self._predict is not None and request.size <= _SMALL:
-                self._wait(request)
+                self._wait(request, source.waiting)
             else:
                 self._hand_over(request)
         except CrkrError as error:
@@ -157,7 +164,7 @@ class Intake:
             self._turn_away(query, Internal("the query could not be taken by a defect of the server; see its log"))
 
     def _turn_away(self, query: zenoh.Query, error: CrkrError) -> None:
-        """Refuses what is no request of the protocol."""
+        """Refuse a query that is not a request of the protocol."""
         self._latencies.refused(OTHER_VERB, error.code)
         if not self._refuser.add(partial(refuse, query), error, held_bytes(query)):
             self._surplus.append(partial(let_go, query))
@@ -166,8 +173,8 @@ class Intake:
         if not self._refuser.add(request.fail, error, request.held_bytes()):
             self._surplus.append(request.let_go)
 
-    def _wait(self, request: Request) -> None:
-        if self._is_served(request) and not self._waiting.add(request):
+    def _wait(self, request: Request, waiting: RoundRobin) -> None:
+        if self._is_served(request) and not waiting.add(request):
             self._refuse(request, busy(request.verb))
 
     def _hand_over(self, request: Request) -> None:
@@ -182,7 +189,7 @@ class Intake:
                 self._refuse(request, refusal)
 
     def _is_served(self, request: Request) -> bool:
-        """Whether its task is; otherwise it is refused."""
+        """Whether the task is served; if not, the request is refused."""
         try:
             if self._check_task is not None:
                 self._check_task(request.task)

@@ -1,7 +1,7 @@
-"""A bounded queue a verb and one thread that works it off: one lane's load never waits in another's queue.
+"""A lane: a bounded queue for each verb, and one thread that answers its requests.
 
-What one client may have in a lane is bounded too, where the client says who it is. What its asker gave up before its
-turn is not worked off, and a repeat of a question joins the one that is there.
+A client that identifies itself may hold only a share of a lane. A request that its client has given up is dropped, and
+a repeated question joins the one already there.
 """
 
 from __future__ import annotations
@@ -23,31 +23,36 @@ __all__ = ["Lane", "busy", "shutting_down"]
 _RETRY_MS: Final = 50
 _MOST_BYTES: Final = 64 * 2**20  # that may wait in a lane
 _BATCH_BYTES: Final = 2 * 2**20  # after which a batch is not made longer
+_FEW: Final = 8  # requests of a task that may always wait
+_FIRST_S: Final = 0.01  # for a step before the first
+_WEIGHT: Final = 0.25  # of the newest, in the mean
 _SHARE: Final = 4  # one client has at most this part of a lane, in requests and in bytes
 _Job = TypeVar("_Job", bound=Job)
 
 
 def shutting_down() -> ShuttingDown:
-    """What is answered between the order to stop and the end."""
+    """The answer to requests while the server stops."""
     return ShuttingDown("the server is shutting down; ask its successor", retry_ms=200)
 
 
 @final
 class Lane(Generic[_Job]):
-    """Works off requests in the order they came, several at once where the work can use that.
+    """Answers requests in order of arrival, in batches where the work can use them.
 
     Args:
-        name: Of the thread.
-        limits: verb -> how many may wait; one more is refused with `Busy`.
-        work: Answers a batch; what it leaves unanswered by raising is answered by the lane. It may return requests that
-            it began and did not finish: they wait for their next turn.
-        most: Largest batch. Batches are what is waiting; nothing waits for a batch to fill.
-        rests: While more waits, the lane rests after each batch for as long as that took: who asks without end leaves
-            half of a core, and Python's lock for half of the time, to those who ask for little.
-        fair: Tasks, and the clients of each, take turns; otherwise the order is kept, as it must be for what writes.
-        patience_s: How long a request of an unknown deadline is waited for before it is refused with `Busy`, None where
-            deadlines are not looked at. One whose asker told its deadline is dropped when that has passed.
-        joins: A repeat of a question that is here already is answered with it.
+        name: Name of the thread.
+        limits: Verb -> how many requests may wait; more are refused with `Busy`.
+        work: Answers a batch. If it raises, the lane answers with the error. It may return unfinished requests, which
+            wait for their next turn.
+        most: Largest batch. A batch is what is waiting; nothing waits for it to fill.
+        rests: While work is queued, sleep as long as the last batch took, so that a flooding client gets at most half a
+            core.
+        fair: Tasks, and the clients of each, take turns. If not, requests keep their order, as writing needs.
+        patience_s: How long a request without a deadline may wait before it is refused with `Busy`; one with a deadline
+            is refused once that has passed. None: deadlines are ignored.
+        joins: Answer repeats of a waiting question together with it.
+        longest_s: Refuse a request that would probably wait longer than this for its turn. None: do not. For fair
+            lanes.
     """
 
     def __init__(
@@ -61,17 +66,19 @@ class Lane(Generic[_Job]):
         fair: bool = False,
         patience_s: float | None = None,
         joins: bool = False,
+        longest_s: float | None = None,
     ) -> None:
         self._limits, self._work, self._most, self._rests = dict(limits), work, most, rests
-        self._patience_s, self._joins = patience_s, joins
+        self._patience_s, self._joins, self._longest_s = patience_s, joins, longest_s
+        self._step_s = _FIRST_S  # about what a step takes, its rest included
         self._queue: deque[_Job] | FairQueue[_Job] = FairQueue() if fair else deque()
         self._waiting: Counter[str] = Counter()
         self._bytes = 0
-        # Of each client that has something here: how many requests of a verb, and their bytes.
+        # Client -> its requests of each verb, and their bytes.
         self._of_clients: Counter[tuple[bytes, str]] = Counter()
         self._asked: dict[tuple[Any, ...], Request] = {}  # what may be joined, by its fingerprint
         self._lock = threading.Lock()
-        # A lock that is let go of wakes the thread in one step, half the time that a condition takes to.
+        # Releasing a lock wakes the thread in half the time of a condition.
         self._bell = threading.Lock()
         self._bell.acquire()
         self._asleep = self._closing = False
@@ -79,11 +86,11 @@ class Lane(Generic[_Job]):
         self._thread = threading.Thread(target=keep_running, args=(self._step,), name=name, daemon=True)
 
     def start(self) -> None:
-        """Begins to work."""
+        """Start to work."""
         self._thread.start()
 
     def offer(self, request: _Job) -> CrkrError | None:
-        """Queues a request, or says why not; then the caller answers it."""
+        """Queue a request, or return the refusal that the caller answers with."""
         question = request if self._joins and isinstance(request, Request) else None
         if question is not None:
             question.identify()
@@ -109,10 +116,18 @@ class Lane(Generic[_Job]):
         limit, verb, client = self._limits[request.verb], request.verb, request.client
         if self._waiting[verb] >= limit or (self._queue and self._bytes + request.size > _MOST_BYTES):
             return True
+        if self._waits_long(request.task):
+            return True
         if not client or not self._of_clients[client, verb]:
             return False
         size = self._of_clients[client, ""] + request.size
         return self._of_clients[client, verb] >= max(1, limit // _SHARE) or size > _MOST_BYTES // _SHARE
+
+    def _waits_long(self, task: str) -> bool:
+        if self._longest_s is None or not isinstance(self._queue, FairQueue):
+            return False
+        turns = self._queue.wait(task)
+        return turns >= _FEW and turns * self._step_s > self._longest_s
 
     def _count(self, request: _Job, sign: int) -> None:
         self._waiting[request.verb] += sign
@@ -124,11 +139,11 @@ class Lane(Generic[_Job]):
                     del self._of_clients[request.client, name]
 
     def depths(self) -> dict[str, Any]:
-        """Verb -> how many wait and how many may."""
+        """Verb -> how many requests wait, and the limit."""
         return {verb: {"waiting": self._waiting[verb], "limit": limit} for verb, limit in self._limits.items()}
 
     def close(self, patience_s: float) -> None:
-        """Takes nothing more, works off the rest for `patience_s`, then refuses what is left."""
+        """Accept no more requests, work on the rest for `patience_s`, then refuse those left."""
         self._ending.set()
         with self._lock:
             self._closing = True
@@ -159,12 +174,16 @@ class Lane(Generic[_Job]):
                     self._queue.put_back(request)
                 else:
                     self._queue.appendleft(request)
+        took = time.monotonic() - began
         if self._rests and self._queue:
-            self._ending.wait(time.monotonic() - began)
+            self._ending.wait(took)
+        if batch:
+            took *= 2 if self._rests else 1
+            self._step_s += _WEIGHT * (took - self._step_s)
         return bool(batch or late)
 
     def _attempt(self, batch: list[_Job]) -> Sequence[_Job]:
-        """Whatever happens, every client gets an answer."""
+        """Work on a batch; every request is answered, whatever is raised."""
         unfinished: Sequence[_Job] = ()
         try:
             unfinished = self._work(batch) or ()
@@ -180,14 +199,14 @@ class Lane(Generic[_Job]):
         return unfinished
 
     def _finish(self, request: _Job) -> None:
-        """Answers those who joined it, and lets nobody join any more."""
+        """Answer the repeats that joined; no more may join."""
         if isinstance(request, Request) and request.fingerprint is not None:
             with self._lock:
                 self._asked.pop(request.fingerprint, None)
             request.answer_repeats()
 
     def _take(self) -> tuple[list[_Job], list[_Job]]:
-        """What waits, as much as may be worked off together, and what waited too long; nothing once the lane closes."""
+        """The next batch and the requests that waited too long; both empty once the lane closes."""
         while True:
             with self._lock:
                 if self._queue or self._closing:
@@ -216,5 +235,5 @@ class Lane(Generic[_Job]):
 
 
 def busy(verb: str) -> Busy:
-    """What is answered when a queue is full."""
+    """The answer when a queue is full."""
     return Busy(f"too many requests of {verb!r} are waiting already; ask again later", retry_ms=_RETRY_MS)

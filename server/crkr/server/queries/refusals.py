@@ -1,11 +1,10 @@
-"""Tells those who asked too much, or for what there is not, at a measured pace.
+"""Refusals are sent at a measured pace.
 
-Who is refused asks again, and who is refused at once asks again at once: a client that keeps hundreds of questions
-outstanding would then occupy the server with refusals alone, and every other client's predictions with it.
+A client that is refused asks again, and one that is refused at once asks again at once. With hundreds of questions
+outstanding it would keep the server busy with refusals alone, and delay the predictions of all others.
 
-A refusal that waits keeps its whole query, as Zenoh has no way to let go of the payload alone. So their number and
-their bytes are bounded, those of large queries apart from those of small ones; beyond that the caller lets go of the
-query without a word, and its asker tries again.
+A waiting refusal holds its whole query, as Zenoh cannot free the payload alone. So their number and bytes are bounded,
+separately for large and small queries. Beyond that the caller drops the query unanswered, and its client tries again.
 """
 
 from __future__ import annotations
@@ -21,22 +20,22 @@ from crkr.server.thread_faults import FAULTS, keep_running
 
 __all__ = ["Refuser"]
 
-_PAUSE_S: Final = 0.004  # between those told together
+_PAUSE_S: Final = 0.004  # between batches
 _TOGETHER: Final = 4  # at least
-_PAUSES: Final = 80  # in which all are told who wait: a client that waits for BUSY hears it within its first attempt
-_MANY: Final = 4096  # that wait, from which on who adds is slowed: its queries wait in their connections then
+_PAUSES: Final = 80  # in which all waiting refusals are sent, within a client's first attempt
+_MANY: Final = 4096  # waiting, from which on adding is slowed down, so that queries wait in their connections
 _SLOWED_S: Final = 0.0001
 _MOST_WAITING: Final = 16_384
 _LARGE: Final = 16_384  # bytes of a query
-_MOST_BYTES: Final = 16 * 2**20  # of the large queries that wait, and again of the small ones
+_MOST_BYTES: Final = 16 * 2**20  # of large queries, and again of small ones
 _Tell = Callable[[CrkrError], None]
 
 
 @final
 class Refuser:
-    """One thread that tells what was refused; any thread may add to it.
+    """A thread that sends refusals; any thread may add one.
 
-    Who does not read holds it up, and nobody else: others hear of their refusal later then, and ask again anyway.
+    A client that does not read its refusals blocks this thread only, so that others receive theirs later.
     """
 
     def __init__(self) -> None:
@@ -50,11 +49,11 @@ class Refuser:
         self._thread = threading.Thread(target=keep_running, args=(self._step,), name="refusals", daemon=True)
 
     def start(self) -> None:
-        """Begins to answer."""
+        """Start to send."""
         self._thread.start()
 
     def add(self, tell: _Tell, error: CrkrError, size: int = 0) -> bool:
-        """Calls `tell` with this error before long; at once where the thread may have ended.
+        """Call `tell` with this error soon; at once if the thread may have ended.
 
         Args:
             tell: Answers the query.
@@ -62,7 +61,7 @@ class Refuser:
             size: Of the query [bytes].
 
         Returns:
-            False: too many wait already, or too large ones, and `tell` will not be called.
+            False if too many or too large ones wait already; `tell` is not called then.
         """
         with self._changed:
             queued = not self._closing.is_set()
@@ -82,7 +81,7 @@ class Refuser:
         return True
 
     def close(self, patience_s: float) -> None:
-        """Answers all that wait, for `patience_s` at most, and ends."""
+        """Send what waits, for `patience_s` at most, and end."""
         self._closing.set()
         with self._changed:
             self._changed.notify()

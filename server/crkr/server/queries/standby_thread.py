@@ -1,7 +1,7 @@
-"""A thread that others take over from while it is held up: one of them is always on duty.
+"""A worker thread that a fresh one replaces while a blocked reply holds it up.
 
-A client that asks and does not read holds up the thread that answers it until its connection is cut off. Whatever that
-thread has in hand waits; nothing else need.
+A client that asks and does not read blocks the thread that answers it until Zenoh cuts its connection. The requests in
+hand wait that long; all others go on.
 """
 
 from __future__ import annotations
@@ -13,59 +13,51 @@ from typing import Final, final
 
 from crkr.server.thread_faults import keep_running
 
-__all__ = ["Relay"]
+__all__ = ["StandbyThread"]
 
 _PATIENCE_S: Final = 0.05  # fifty times what work between `begin` and `end` takes
-_MOST: Final = 16  # threads at once; each that is held up ends as soon as it is not
+_MOST: Final = 16  # threads at once; a blocked one ends as soon as it goes on
 
 
 @final
-class Relay:
-    """Runs `work(turn)` on a thread, and on another one with the next turn when that is held up.
+class StandbyThread:
+    """Runs `work(turn)` on a thread, and on another one with the next turn when that is blocked.
 
-    `work` calls `begin` before what may hold it up and `end` after it, and returns as soon as `end` says that its turn
-    is over. What it shares with later turns it may touch only while it is on duty.
+    `work` calls `begin` before what may block and `end` after it, and returns once `end` returns False. State shared
+    with later turns may be touched only before `begin`, and after an `end` that returned True.
     """
 
     def __init__(self, work: Callable[[int], None], name: str) -> None:
         self._work, self._name = work, name
         self._lock = threading.Lock()
         self._turn = 0
-        self._since: float | None = None  # when the thread on duty began what may hold it up
+        self._since: float | None = None  # when the present thread began what may block
         self._running: list[threading.Thread] = []
         self._ended = threading.Event()
-        self._watch = threading.Thread(target=keep_running, args=(self._look,), name=f"{name} relay", daemon=True)
+        self._watch = threading.Thread(target=keep_running, args=(self._look,), name=f"{name} standby", daemon=True)
 
     def start(self) -> None:
-        """Starts the first turn, or the next where the one before has nothing to take any more."""
+        """Start the first turn, or the next where the one before has nothing to take any more."""
         with self._lock:
             self._begin_turn()
 
     def begin(self, turn: int) -> None:
-        """Says that the thread may be held up from now on."""
+        """The thread may block from now on."""
         with self._lock:
-            if self._watch.ident is None:  # who is never held up needs no watch
+            if self._watch.ident is None:  # as late as possible: most are never blocked
                 self._watch.start()
             if turn == self._turn:
                 self._since = time.monotonic()
 
     def end(self, turn: int) -> bool:
-        """Says that it is not any more; whether it is still on duty."""
+        """The thread is not blocked any more; False if another has replaced it."""
         with self._lock:
             if turn == self._turn:
                 self._since = None
             return turn == self._turn
 
-    def on_duty(self, turn: int) -> bool:
-        """Whether no other turn has begun since.
-
-        A new thread may ask before `_begin_turn` has noted its turn; the lock makes it wait for that.
-        """
-        with self._lock:
-            return turn == self._turn
-
     def join(self, patience_s: float) -> None:
-        """Waits for the thread on duty to end; no other takes over from now on."""
+        """Wait for the present thread to end; none replaces it from now on."""
         self._ended.set()
         with self._lock:
             running = self._running[-1:]
@@ -75,7 +67,7 @@ class Relay:
     def _begin_turn(self) -> None:
         turn = self._turn + 1
         thread = threading.Thread(target=self._work, args=(turn,), name=self._name, daemon=True)
-        thread.start()  # it finds its turn only after this lock; where the system gives no thread, the old turn goes on
+        thread.start()  # `end` waits for this lock; where the system gives no thread, the old turn goes on
         self._turn, self._since = turn, None
         self._running.append(thread)
 

@@ -1,4 +1,4 @@
-"""Changes of a task that an administrator asks for, read and checked before anything is stored."""
+"""Administrative changes of a task, read and checked before anything is stored."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ _KERNEL: Final = tuple(KernelSettings.__dataclass_fields__)
 @final
 @dataclass(frozen=True, slots=True)
 class Change:
-    """An event to store.
+    """A change as an event to store.
 
     Attributes:
-        kind: Of the event.
-        body: Of the event.
-        answer: From the task and what the learner returned to the fields of the reply.
-        ids: Trials it names, which must exist.
+        kind: Kind of the event.
+        body: Body of the event.
+        answer: Makes the fields of the reply from the task and the learner's result.
+        ids: Trials named, which must exist.
     """
 
     kind: str
@@ -46,7 +46,7 @@ class Change:
 
 
 def read_change(verb: str, message: Mapping[str, Any], task: ServedTask) -> Change:
-    """The change that a request means; raises `Invalid`, or `Unsupported` for a verb that is none."""
+    """The change that a request asks for; raises `Invalid`, or `Unsupported` for an unknown verb."""
     read = _READERS.get(verb)
     if read is None:
         raise Unsupported(f"admin verb {verb!r} is not offered; these are: {', '.join(sorted(_READERS))}")
@@ -78,7 +78,7 @@ def _configure(message: Mapping[str, Any], task: ServedTask) -> Change:
         raise Invalid(f"unknown fields in kernel: {named}; known are {', '.join(_KERNEL)}")
     changed_spec = task.agreed.with_changes(changes)
     refuse_absurd(changed_spec, task.agreed)
-    if "budget" in changes:  # an earlier version took larger ones, whose other settings may change still
+    if "budget" in changes:  # a larger one from an earlier version stays valid until it is changed
         check_model_fits(changed_spec)
     understood = changed_spec.to_dict()
     stored = {name: _understood(value, understood[name]) for name, value in changes.items()}
@@ -90,7 +90,7 @@ def _configure(message: Mapping[str, Any], task: ServedTask) -> Change:
 
 
 def _understood(given: Any, read: Any) -> Any:
-    """A setting as it was read; of a group of settings the given ones. Unknown fields are ignored, and not stored."""
+    """A setting as it was read; of a group, the given fields. Unknown fields are not stored."""
     return {name: value for name, value in read.items() if name in given} if isinstance(read, Mapping) else read
 
 

@@ -1,9 +1,8 @@
-"""Answers `predict` from the model at hand: what waits together is answered together, and nothing waits to fill up.
+"""Answers `predict` from the present model. Waiting questions are answered together; none waits for a batch to fill.
 
-How long a prediction takes is known beforehand from the number of states b and of active samples m: the m^2 numbers of
-the factor are read once, and each state costs m^2 operations more. Where outcomes guide the goals, each state is
-compared with the observed trials besides. So what asks for much is told from what asks for little by work, not by
-bytes. What asks for much is answered in slices, between which other questions have their turns.
+The time of a prediction is known beforehand from the number of states b and of active samples m: the m^2 numbers of the
+factor are read once, and each state costs another m^2 operations. Outcome-guided goals also compare each state with
+the observed trials. Long questions are answered in slices, between which other questions have their turns.
 """
 
 from __future__ import annotations
@@ -22,6 +21,7 @@ from crkr.protocol import (
     NovelState,
     Prediction,
     PredictRequest,
+    TaskSpec,
     most_states_answered,
     pack,
     random_ids,
@@ -34,13 +34,15 @@ from crkr.server.workers import Workers
 
 __all__ = ["Predictor"]
 
-_AT_ONCE_US: Final = 1000.0  # of work, after which others have their turn
-_STATE_US: Final = 3.0  # the work of a state, apart from the samples
-_SQUARE_US: Final = 30e-6  # for each state and each of m^2
-_PASS_US: Final = 120e-6  # for each of m^2, whatever the number of states
-_GUIDED_US: Final = 300.0  # for each state whose goal outcomes guide
-_TRIAL_US: Final = 0.016  # for each such state and each trial that it is compared with
-_LEAST: Final = 8  # states at a time; with fewer, reading the factor again and again would be most of the work
+_AT_ONCE_US: Final = 1000.0  # of work in a turn
+_STATE_US: Final = 3.0  # a state, without the samples
+_SQUARE_US: Final = 30e-6  # each state, for each of m^2
+_PASS_US: Final = 120e-6  # any number of states, for each of m^2
+_GUIDED_US: Final = 300.0  # each state with an outcome-guided goal
+_TRIAL_US: Final = 0.016  # each such state, for each trial compared
+_FIT_US: Final = 3e-4  # for each such state, iteration, group of outcomes, neighbour, and square of a trial's numbers
+_LEAST: Final = 8  # states at a time; with fewer, most of the work would be reading the factor
+_LONG_US: Final = 10_000.0  # of work at a time, even with fewer states
 _LONGEST: Final = 128  # name of a worker
 _ID_BYTES: Final = 18  # of an id in an answer
 _HEAD_BYTES: Final = 1024  # of an answer, its rows aside
@@ -54,13 +56,12 @@ class Predictor:
         self._tasks, self._workers = tasks, workers
 
     def answer(self, requests: list[Request]) -> list[Request]:
-        """Answers requests, with a prediction or an error.
+        """Answer requests with a prediction or an error, for about a millisecond.
 
-        One that needs more than a millisecond is made patient and left; and those behind a millisecond's work are left
-        as they are.
+        A request that alone needs longer is made patient and left over, as are those behind a millisecond's work.
 
         Returns:
-            Those left, in the same order.
+            Requests left over, in order.
         """
         together: defaultdict[tuple[str, bool], list[tuple[Request, Question]]] = defaultdict(list)
         left: list[Request] = []
@@ -71,7 +72,7 @@ class Predictor:
                 break
             try:
                 task = self._tasks.get(request.task)
-                payload, cost = request.payload(), _Cost.of(task.model)
+                payload, cost = request.payload(), _Cost.of(task, task.model)
                 question, message = read_question(payload, task.dimensions), None
                 if question is None:
                     message = unpack(payload)
@@ -89,17 +90,21 @@ class Predictor:
                 if alike:
                     work -= cost.once_us  # the factor is read once for all of them
                 alike.append((request, question))
-            except BaseException as error:  # this one's fault alone; it is answered and the others go on
+            except BaseException as error:  # fails this request only
                 request.fail_unexpectedly(error)
         for (name, explore), questions in together.items():
-            self._answer_together(self._tasks.get(name), explore, questions)
+            try:
+                self._answer_together(self._tasks.get(name), explore, questions)
+            except BaseException as error:  # fails these questions only
+                for request, _ in questions:
+                    request.fail_unexpectedly(error)
         return left
 
     def work(self, requests: list[Request]) -> list[Request]:
-        """Works at patient requests, each for about a millisecond, and answers those that are done; for their lane.
+        """Work on patient requests, each for about a millisecond, and answer those that are done.
 
         Returns:
-            Those that are not done.
+            Unfinished requests.
         """
         unfinished: list[Request] = []
         for request in requests:
@@ -118,7 +123,7 @@ class Predictor:
         return unfinished
 
     def _answer_together(self, task: ServedTask, explore: bool, questions: list[tuple[Request, Question]]) -> None:
-        """One call of the model for all; where one of them is refused, each is asked alone."""
+        """Answer all by one call of the model; if it refuses one of them, each is answered alone."""
         started = time.perf_counter_ns()
         states = np.frombuffer(b"".join([question.state for _, question in questions]), "<f8")
         asked = states.reshape(len(questions), task.dimensions) if len(questions) > 1 else states
@@ -139,7 +144,7 @@ class Predictor:
                 self._workers.asked(task.name, question.worker, (question.trial_id,))
 
     def _answer_alone(self, request: Request, task: ServedTask) -> None:
-        """Any form of request, checked in full."""
+        """Answer a request of any form, checked in full."""
         batch = _Batch.begin(request, task)
         while not batch.step():
             pass
@@ -155,42 +160,42 @@ class Predictor:
 
 @final
 class _Batch:
-    """A question about many states on its way to an answer, by the model that there was when it began.
+    """A question about many states, answered a few at a time by the model of its beginning.
 
-    A few states at a time: no other thread of Python runs while the factor is solved for them.
+    The slices are short because no other Python thread runs while the factor is solved for one.
 
     Attributes:
-        question: What is asked.
-        ids: One a state, of 16 bytes.
-        compute_us: Time of the model so far [us].
+        question: The request.
+        ids: One id of 16 bytes for each state.
+        compute_us: Time spent in the model [us].
     """
 
     __slots__ = ("_done", "_model", "_novel", "_parts", "_states", "_step", "compute_us", "ids", "question")
 
-    def __init__(self, question: PredictRequest, model: Model) -> None:
-        self.question, self._model = question, model
+    def __init__(self, question: PredictRequest, task: ServedTask) -> None:
+        self.question, self._model = question, task.model
         self.ids = [one.bytes for one in question.trial_ids] or random_ids(question.count)
         self.compute_us = self._done = 0
         self._states = np.atleast_2d(question.states)
-        cost = _Cost.of(model)
-        self._step = max(_LEAST, int((_AT_ONCE_US - cost.once_us) / cost.state_us))
+        cost = _Cost.of(task, self._model)
+        self._step = max(cost.least, int((_AT_ONCE_US - cost.once_us) / cost.state_us))
         self._parts: list[Prediction] = []
         self._novel: NovelState | None = None  # the most novel so far of states that the task refuses
 
     @classmethod
     def begin(cls, request: Request, task: ServedTask) -> Self:
-        """Reads a request; raises `Invalid`, and where the answer would be larger than a message may be."""
-        question = PredictRequest.from_wire(unpack(request.payload()), task.dimensions)
+        """Read a request; raises `Invalid`, also if its answer would not fit into a message."""
+        question = PredictRequest.from_wire(request.message(), task.dimensions)
         _refuse_long_answer(task, question.count)
-        return cls(question, task.model)
+        return cls(question, task)
 
     @property
     def share_left(self) -> float:
-        """How much is left of it, from 1 to 0."""
+        """Remaining share, from 1 to 0."""
         return 1.0 - self._done / len(self._states)
 
     def step(self) -> bool:
-        """Works for about a millisecond; whether it is done."""
+        """Work for about a millisecond; True when done."""
         started = time.perf_counter_ns()
         first, self._done = self._done, min(self._done + self._step, len(self._states))
         one = self.question.states.ndim == 1
@@ -203,7 +208,7 @@ class _Batch:
         return self._done == len(self._states)
 
     def result(self) -> Prediction:
-        """The answer, once done; raises `NovelState` that names the most novel state of all."""
+        """The answer, once done; raises `NovelState` with the most novel of all states."""
         if self._novel is not None:
             raise self._novel
         return self._parts[0] if len(self._parts) == 1 else Prediction.joined(self._parts)
@@ -216,29 +221,39 @@ class _Batch:
 
 
 class _Cost(NamedTuple):
-    """About how long predictions by a model take, what every question costs left out.
+    """Estimated time of predictions by a model, without the fixed cost of a question.
 
     Attributes:
         once_us: For any number of states [us].
         state_us: For each state [us].
+        least: Fewest states to answer at a time.
     """
 
     once_us: float
     state_us: float
+    least: int
 
     @classmethod
-    def of(cls, model: Model) -> _Cost:
+    def of(cls, task: ServedTask, model: Model) -> _Cost:
         square, searched = model.active**2, model.explorer.searched
-        guided = _GUIDED_US + _TRIAL_US * searched if searched else 0.0
-        return cls(_PASS_US * square, _STATE_US + _SQUARE_US * square + guided)
+        guided = _GUIDED_US + _TRIAL_US * searched + _local_fit_us(task.created, searched) if searched else 0.0
+        state_us = _STATE_US + _SQUARE_US * square + guided
+        return cls(_PASS_US * square, state_us, max(1, min(_LEAST, int(_LONG_US / state_us))))
 
     def us(self, count: int) -> float:
-        """For so many states [us]."""
+        """Time for `count` states [us]."""
         return self.once_us + count * self.state_us
 
 
+def _local_fit_us(spec: TaskSpec, searched: int) -> float:
+    """Estimated time of the fits to a state's nearest trials [us]."""
+    settings, width = spec.exploration, 1 + len(spec.state) + len(spec.goal)
+    groups = len({entry.group for entry in spec.outcome})
+    return _FIT_US * settings.iterations * groups * min(settings.neighbours, searched) * width**2
+
+
 def _refuse_long_answer(task: ServedTask, count: int) -> None:
-    """Raises `Invalid` where the predictions of so many states are more than a message holds."""
+    """Raise `Invalid` if the predictions of `count` states do not fit into a message."""
     spec = task.created
     most = most_states_answered(len(spec.goal), len(spec.outcome) if spec.exploration.type == "outcome" else 0)
     if count > most:
@@ -250,7 +265,7 @@ def _refuse_long_answer(task: ServedTask, count: int) -> None:
 
 
 def _states(message: Mapping[str, Any]) -> int:
-    """How many states a request seems to ask about; whether it is in order is found out when it is answered."""
+    """How many states a request seems to ask about; it is checked when it is answered."""
     states = message.get("states")
     if type(states) is dict:
         shape = states.get("shape")
@@ -259,7 +274,7 @@ def _states(message: Mapping[str, Any]) -> int:
 
 
 def _question(message: Mapping[str, Any], dimensions: int) -> Question | None:
-    """A request about one state that others can be answered together with; None: it needs a full look."""
+    """A request about one state that can be answered together with others; None if it needs the full check."""
     explore, worker, given = message.get("explore", False), message.get("worker"), message.get("trial_ids")
     state = state_bytes(message, dimensions)
     if state is None or type(explore) is not bool:

@@ -1,4 +1,4 @@
-"""Answers what only asks: info, tasks, spec, status, model, samples, explain; none of it grows with use."""
+"""The reading verbs: info, tasks, spec, status, model, samples, explain. No answer grows with use."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from crkr.protocol.checks import integer, required
 from crkr.server.learning.tasks import ServedTask, Tasks, hyperparameters
 from crkr.server.learning.thread import Learning
 from crkr.server.log import LogReader
-from crkr.server.metrics.latency import Latencies
+from crkr.server.metrics.durations import Latencies
 from crkr.server.queries.queue import busy
 from crkr.server.queries.request import Request
 from crkr.server.thread_faults import FAULTS
@@ -37,13 +37,13 @@ from crkr.server.workers import Workers
 
 __all__ = ["Reader"]
 
-_MOST: Final = 10_000  # samples, or tasks, of a page
-_MOST_ASKED: Final = 64  # steps of learning that are waited for, after which it explains no sample
-_MOST_WORKERS: Final = 256  # of a status
-_LONGEST: Final = 4096  # characters of what is wrong with a task
-_REST_BYTES: Final = 4096  # of a list of tasks, its entries aside
-_MOST_FAULTS: Final = 20  # that `info` tells of
-_PAGE_BYTES: Final = MAX_MESSAGE_BYTES // 2  # a page ends early rather than exceed what a message may be
+_MOST: Final = 10_000  # samples or tasks in a page
+_MOST_ASKED: Final = 64  # waiting steps of a task, beyond which no sample is explained
+_MOST_WORKERS: Final = 256  # in a status
+_LONGEST: Final = 4096  # characters of a fault
+_REST_BYTES: Final = 4096  # of a list of tasks, without its entries
+_MOST_FAULTS: Final = 20  # in `info`
+_PAGE_BYTES: Final = MAX_MESSAGE_BYTES // 2  # a page ends early to fit into a message
 
 
 @final
@@ -51,7 +51,7 @@ class Reader:
     """The work of the reading lanes.
 
     Args:
-        queues: How full the server's queues are, for `status`.
+        queues: Verb -> {waiting, limit}, for `status`.
     """
 
     def __init__(
@@ -67,7 +67,7 @@ class Reader:
         self._server_id, self._tasks, self._log, self._learning = server_id, tasks, log, learning
         self._workers, self._latencies, self._queues = workers, latencies, queues
         self._started, self._started_monotonic = time.time(), time.monotonic()
-        self._version = version("crkr")  # of what runs, which is not what is installed after an upgrade
+        self._version = version("crkr")  # of the running code, which an upgrade on disk does not change
         self._verbs: Mapping[str, Callable[[Request], None]] = {
             "info": self._info,
             "tasks": self._list_tasks,
@@ -79,11 +79,11 @@ class Reader:
         }
 
     def work(self, requests: list[Request]) -> None:
-        """Answers every one of them."""
+        """Answer every one of them."""
         for request in requests:
             try:
                 self._verbs[request.verb](request)
-            except BaseException as error:  # answered; the others go on
+            except BaseException as error:  # the other requests go on
                 request.fail_unexpectedly(error)
 
     def _info(self, request: Request) -> None:
@@ -113,7 +113,7 @@ class Reader:
             page, whole = _entries(tasks, _PAGE_BYTES)
             if not whole:
                 following = integer(message.get("after", 0), "after") + len(page)
-        else:  # as clients of version 0.1 ask
+        else:  # clients of version 0.1
             following, (page, whole) = None, _entries(self._tasks.all(), MAX_MESSAGE_BYTES - _REST_BYTES)
             if not whole:
                 raise Invalid(
@@ -174,7 +174,7 @@ class Reader:
             request.reply({"unchanged": True, "version": model.version})
             return
         most = most_active(*map(len, (model.parameters.kernel.centre, model.parameters.scales)))
-        if model.active > most:  # as an earlier version allowed
+        if model.active > most:  # an earlier version allowed it
             raise Invalid(
                 f"the model of task {request.task!r} has {model.active} active samples, and a message holds {most}; "
                 "ask for predictions instead, or lower its budget by `crkr configure`",
@@ -201,7 +201,7 @@ class Reader:
         sample_id = id_from_wire(sample, "sample_id")
 
         def answer(_result: Any, failure: Exception | None) -> None:
-            if isinstance(failure, ShuttingDown):  # the learner may be busy still, on a thread that does not end
+            if isinstance(failure, ShuttingDown):  # the learner may still be busy
                 request.fail(failure)
                 return
             try:
@@ -212,11 +212,11 @@ class Reader:
         if self._learning.waiting(task)[1] >= _MOST_ASKED:
             raise busy(request.verb)
         request.held = True
-        self._learning.submit(task, (), answer)  # where one sample stands only the learner itself knows
+        self._learning.submit(task, (), answer)  # only the learner knows where one sample stands
 
 
 def _advice(task: ServedTask) -> list[dict[str, str]]:
-    """What its owner should know, though nothing is out of order."""
+    """Advice for the task's owner, though nothing is faulty."""
     if task.spec.selector == "full" and task.eligible > task.model.active >= MOST_KEPT:
         message = (
             f'selector "full" learns from the first {MOST_KEPT} of {task.eligible} trials; the others are stored. '
@@ -227,12 +227,12 @@ def _advice(task: ServedTask) -> list[dict[str, str]]:
 
 
 def _span(message: Mapping[str, Any], low: int = 1) -> tuple[int, int]:
-    """Which tasks are asked for: those past a number, in the order of their creation, and how many."""
+    """The page of tasks asked for: how many to skip, in order of creation, and how many to list."""
     return integer(message.get("after", 0), "after"), integer(message.get("limit", 1000), "limit", low=low, high=_MOST)
 
 
 def _entries(tasks: Sequence[ServedTask], most_bytes: int) -> tuple[list[bytes], bool]:
-    """Entries of a list of tasks as far as they fit, but one at least, and whether these are all."""
+    """Encoded entries of the tasks that fit, at least one, and whether they are all."""
     entries: list[bytes] = []
     size = 0
     for task in tasks:

@@ -1,4 +1,4 @@
-"""The one thread that writes: commits, then acknowledges, then hands over to learning."""
+"""The writing verbs: commit, then acknowledge, then hand over to learning."""
 
 from __future__ import annotations
 
@@ -34,20 +34,20 @@ __all__ = ["MOST_REPORTS", "Writer", "refuse_archived"]
 logger = logging.getLogger(__name__)
 
 MOST_REPORTS: Final = 256  # in one commit
-_KNOWN_BEFORE: Final = frozenset({"archive", "fit"})  # what other changes did only the learner can tell
-_MOST_BACKLOG: Final = 20_000  # committed trials of a task that wait to be learned from
-_MOST_BACKLOG_OF_ALL: Final = 100_000  # the same of all tasks: one that learns slowly leaves room for the others
-_MOST_ASKED: Final = 1024  # steps of a task's learning that are waited for; a commit of reports may add to them
+_KNOWN_BEFORE: Final = frozenset({"archive", "fit"})  # the learner alone knows the effect of other changes
+_MOST_BACKLOG: Final = 20_000  # committed trials of a task that wait to be learned
+_MOST_BACKLOG_OF_ALL: Final = 100_000  # of all tasks, so that a slow one leaves room for the others
+_MOST_ASKED: Final = 1024  # waiting steps of a task; a commit of reports may exceed it
 _MOST_ASKED_OF_ALL: Final = 4096
-_MOST_HELD_BYTES: Final = 64 * 2**20  # of the requests that wait for them
+_MOST_HELD_BYTES: Final = 64 * 2**20  # of the requests that wait
 
 
 @final
 class Writer:
-    """The work of the write lane: reports in groups, everything else one by one, in the order they came.
+    """The work of the write lane: reports in groups, other requests one by one, in order of arrival.
 
     Attributes:
-        commits: How long the log took to store what it was given together.
+        commits: Times of the commits.
     """
 
     def __init__(self, log: TaskLog, tasks: Tasks, workers: Workers, learning: Learning) -> None:
@@ -55,10 +55,10 @@ class Writer:
         self._log, self._tasks, self._workers, self._learning = log, tasks, workers, learning
         self._held_bytes, self._holding = 0, threading.Lock()
         self._waits = Waits()
-        self._order = threading.Lock()  # from a commit to its place in learning's queue, nothing comes between
+        self._order = threading.Lock()  # held from a commit until its entries are queued for learning
 
     def work(self, requests: list[Request]) -> None:
-        """Answers every one of them, or hands it to learning to be answered."""
+        """Answer each request, or let learning answer it."""
         reports: list[Request] = []
         for request in requests:
             if request.verb == "report":
@@ -71,7 +71,7 @@ class Writer:
                     self._create(request)
                 else:
                     self._change(request)
-            except BaseException as error:  # answered; the requests behind it go on
+            except BaseException as error:  # the requests behind it go on
                 request.fail_unexpectedly(error)
         self._store(reports)
 
@@ -107,7 +107,7 @@ class Writer:
         if own > _MOST_BACKLOG or everyones > _MOST_BACKLOG_OF_ALL:
             raise Busy(f"{max(own, everyones)} trials wait to be learned from; ask again later", retry_ms=500)
         asked = ReportRequest.from_wire(request.message(), task.created)
-        if asked.wait:  # a duplicate too, which adds no trial to the backlog
+        if asked.wait:  # also for duplicates, which add nothing to the backlog
             self._refuse_when_full(request, task)
         return task, asked
 
@@ -118,7 +118,7 @@ class Writer:
             raise busy(request.verb)
 
     def _hold(self, request: Job, sign: int = 1) -> None:
-        """Counts what a request keeps in memory until learning answers it, or no longer."""
+        """Count the memory of a request that learning will answer, or with sign -1 no longer."""
         with self._holding:
             self._held_bytes += sign * request.size
 
@@ -155,7 +155,7 @@ class Writer:
         if task is None:
             check_model_fits(spec)
             refuse_absurd(spec)
-            task = ServedTask(spec)  # refuses what the learner does not offer, before anything is stored
+            task = ServedTask(spec)  # raises for settings that the learner lacks, before anything is stored
             with self.commits.timing():
                 creation = self._log.create(spec)
             task.begin(creation)
@@ -178,10 +178,10 @@ class Writer:
         self.commit(task, change, request)
 
     def commit(self, task: ServedTask, change: Change, request: Job, configured: int | None = None) -> None:
-        """Commits a change and answers the request when the model includes it; any thread may.
+        """Commit a change, and answer the request once the model includes it; any thread may.
 
         Raises:
-            Conflict: The task was configured after log position `configured`, from which the change was worked out.
+            Conflict: The task was configured after log position `configured`, on which the change is based.
             Invalid: The task is archived, or has no such trial.
         """
         with self._order:
@@ -201,7 +201,7 @@ class Writer:
             self._learning.submit(task, event, None)
 
     def _commit_change(self, task: ServedTask, change: Change, request: Job) -> None:
-        if task.archived and change.kind == "archive":  # asked again, perhaps because the answer was lost
+        if task.archived and change.kind == "archive":  # a repeat, perhaps because the answer was lost
             self._await(task, (), task.seq, change, request)
             return
         refuse_archived(task)
@@ -220,7 +220,7 @@ class Writer:
         self._await(task, event, event.seq, change, request)
 
     def _await(self, task: ServedTask, event: Event | tuple[()], seq: int, change: Change, request: Job) -> None:
-        """Answers when the model includes the event, or the end of the server comes first."""
+        """Answer once the model includes the event, or the server stops."""
 
         def answer(result: Any, failure: Exception | None) -> None:
             if isinstance(failure, ShuttingDown) and change.kind in _KNOWN_BEFORE:
@@ -235,7 +235,7 @@ class Writer:
 
 
 def _settle(request: Job, failure: Exception | None, message: Mapping[str, Any]) -> None:
-    """Answers with the failure if there was one, else with the message."""
+    """Answer with the failure if there is one, else with the message."""
     if failure is None:
         request.reply(message)
     else:
@@ -243,6 +243,6 @@ def _settle(request: Job, failure: Exception | None, message: Mapping[str, Any])
 
 
 def refuse_archived(task: ServedTask) -> None:
-    """Raises `Invalid` for a task that is archived."""
+    """Raise `Invalid` for a task that is archived."""
     if task.archived:
         raise Invalid(f"task {task.name!r} is archived: it answers reads only", details={"task": task.name})

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from crkr.server.log.file_system import file_system_of, is_remote
+from crkr.server.log.data_files import file_system_of, is_remote
 
 # System call numbers and the audit name of the architecture.
 CALLS = {

@@ -1,4 +1,4 @@
-"""What tells how a server does, gathered where it can be looked at."""
+"""Where the metrics of a server are read from; apart from the collector, which needs the Prometheus client."""
 
 from __future__ import annotations
 
@@ -9,23 +9,22 @@ from typing import Any, final
 
 from crkr.server.learning.tasks import Tasks
 from crkr.server.learning.thread import Learning
-from crkr.server.metrics.durations import Durations
-from crkr.server.metrics.latency import Latencies
+from crkr.server.metrics.durations import Durations, Latencies
 from crkr.server.workers import Workers
 
-__all__ = ["Vitals"]
+__all__ = ["MetricSources"]
 
 
 @final
 @dataclass(frozen=True, slots=True)
-class Vitals:
-    """To be read, never changed; any thread may.
+class MetricSources:
+    """Read only; any thread may.
 
     Attributes:
         data: Data directory.
         tasks: What is served.
-        latencies: How requests were answered.
-        workers: Who works.
+        latencies: Times and errors of the answers.
+        workers: The workers of each task.
         learning: The backlog and the steps of learning.
         commits: How long the log took to store.
         queues: Verb -> {waiting, limit}.

@@ -302,4 +302,4 @@ def test_help_is_printed_whatever_the_environment_says(environment: dict[str, st
     command = [sys.executable, "-m", "crkr.client", "evaluate", "--help"]
     done = subprocess.run(command, env={**os.environ, **environment}, capture_output=True, check=False)
     assert (done.returncode, done.stderr) == (0, b"")
-    assert b"--balls" in done.stdout
+    assert b"--contexts" in done.stdout

@@ -237,10 +237,26 @@ def test_what_is_not_valid_is_refused_and_changes_nothing(policy: LearnedPolicy,
 
 @pytest.mark.parametrize(
     ("wrong", "complaint"),
-    [({"costs": 0.1}, "unexpected keyword argument 'costs'"), ({}, "needs the keyword arguments: cost, success")],
+    [({"costs": 0.1}, "unexpected keyword argument 'costs'"), ({}, "needs the keyword arguments: success")],
 )
 def test_an_argument_that_is_unknown_or_missing_is_a_type_error(
     policy: LearnedPolicy, wrong: Fields, complaint: str
 ) -> None:
     with pytest.raises(TypeError, match=complaint):
         policy.report(state=[1.0, 0.0], goal=[0.5, 0.5, 5.0], **wrong)
+
+
+def test_a_task_may_learn_from_labels_alone(make_policy: MakePolicy) -> None:
+    policy = make_policy(cost="label")
+    policy.report(state=[1.0, 0.0], goal=[0.5, 0.5, 5.0], success=True)
+    policy.report(state=[1.0, 0.0], goal=[1.5, 0.5, 5.0], success=False)
+    policy.report(state=[1.0, 0.5], goal=[0.5, 0.0, 5.0], success=True, cost=0.4)
+    answer = policy.predict([1.0, 0.0])
+    assert answer.active == 2
+    [hit, *_] = policy.explain([1.0, 0.0]).neighbours
+    assert hit.cost == pytest.approx(0.1)
+
+
+def test_a_measured_task_needs_costs(policy: LearnedPolicy) -> None:
+    with pytest.raises(Invalid, match="cost"):
+        policy.report(state=[1.0, 0.0], goal=[0.5, 0.5, 5.0], success=True)

@@ -19,6 +19,8 @@ from crkr.protocol.specification.task_spec import TaskSpec
 
 __all__ = ["KINDS", "MAX_INFO_BYTES", "Trial"]
 
+# What a trial cost where only its success is told: not 0 and 1, so that one label is never taken as certain.
+LABEL_COSTS: Final = {True: 0.1, False: 0.9}
 KINDS: Final = ("trial", "demonstration", "evaluation", "failed")
 
 
@@ -110,6 +112,8 @@ class Trial:
         successful = flag(success, "success")
         if checked_kind == "failed" and successful:
             raise Invalid("a trial of kind 'failed' cannot be a success", details={"field": "success"})
+        if cost is None and checked_kind != "failed" and spec.cost == "label":
+            cost = LABEL_COSTS[successful]
         if cost is None and checked_kind != "failed":
             raise Invalid(
                 f"cost may be null only for kind 'failed'; got kind {checked_kind!r}",
@@ -147,7 +151,7 @@ class Trial:
             id=id_from_wire(required(message, "id")),
             state=frozen_from_wire(required(message, "state"), "state"),
             goal=frozen_from_wire(required(message, "goal"), "goal"),
-            cost=required(message, "cost"),
+            cost=message.get("cost") if spec.cost == "label" else required(message, "cost"),
             success=required(message, "success"),
             kind=required(message, "kind"),
             outcome=None if outcome is None else frozen_from_wire(outcome, "outcome"),

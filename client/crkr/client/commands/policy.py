@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict
 from typing import Annotated
 from uuid import UUID, uuid4
@@ -54,8 +55,13 @@ def report(
     task: _Task,
     state: _State,
     goal: Annotated[str, typer.Option("--goal", help="The executed goal, in quotes.")],
-    success: Annotated[bool, typer.Option("--success/--failure", help="Whether to learn from it.")],
-    cost: Annotated[float | None, typer.Option("--cost", help="In [0, 1]; omitted only for kind failed.")] = None,
+    success: Annotated[
+        bool, typer.Option("--success/--failure", "--hit/--miss", help="Whether it did what was wanted.")
+    ],
+    cost: Annotated[
+        float | None,
+        typer.Option("--cost", help="In [0, 1]; omitted for kind failed, and where the task learns from labels."),
+    ] = None,
     kind: Annotated[str, typer.Option("--kind", help="trial, demonstration, evaluation or failed.")] = "trial",
     outcome: Annotated[str | None, typer.Option("--outcome", help="Measured numbers; nan means not observed.")] = None,
     trial_id: Annotated[
@@ -130,7 +136,9 @@ def explain(
 
 
 def _prediction_data(answer: Prediction) -> dict[str, object]:
-    names = ("goal", "mean", "sigma", "novelty", "trial_id", "model_version", "active", "policy")
+    names = (
+        "goal", "mean", "sigma", "novelty", "success_probability", "trial_id", "model_version", "active", "policy",
+    )  # fmt: skip
     data = {name: getattr(answer, name) for name in names}
     if answer.predicted_outcome is not None:
         data |= {name: getattr(answer, name) for name in ("predicted_outcome", "predicted_outcome_sd")}
@@ -152,6 +160,8 @@ def _show_prediction(answer: Prediction, spec: TaskSpec) -> None:
                 for one, value, sd in expected
             ],
         )
+    if answer.success_probability is not None and not math.isnan(float(answer.success_probability)):
+        stdout.print(f"succeeds with probability {float(answer.success_probability):.2f}")
     stdout.print(
         f"novelty {float(answer.novelty):.3f}, policy {answer.policy}, {answer.active} active samples, "
         f"model {answer.model_version}"

@@ -18,18 +18,17 @@ from crkr.protocol.trial import Trial
 __all__ = ["TrialFields", "make_trials"]
 
 
-class _Measured(TypedDict):
-    cost: object
+class _Told(TypedDict):
     success: object
 
 
-class TrialFields(_Measured, total=False):
+class TrialFields(_Told, total=False):
     """The arguments of every `report`, in process or remote, for one trial or for a batch of b.
 
     Attributes:
         state: (d,) or (b, d); may be absent where an answer of `predict` is given, and so may `goal`.
         goal: (p,) or (b, p) executed, within the bounds; overrides the answer's goals.
-        cost: In [0, 1], one or b; None for kind "failed".
+        cost: In [0, 1], one or b; None or absent for kind "failed", and where the task's cost is a "label".
         success: One flag, or b.
         kind: "trial", "demonstration", "evaluation" or "failed", for all of them; "trial" unless given.
         id: One id, or b; the answer's, or new ones, unless given.
@@ -41,6 +40,7 @@ class TrialFields(_Measured, total=False):
 
     state: object
     goal: object
+    cost: object
     kind: str
     id: UUID | bytes | Sequence[UUID | bytes] | None
     outcome: object
@@ -59,7 +59,7 @@ def make_trials(spec: TaskSpec, answer: Prediction | None = None, **fields: Unpa
 
     Raises:
         Invalid: Neither answer nor state and goal, sizes that disagree, or a value that is not allowed.
-        TypeError: An argument is unknown, or cost or success is missing.
+        TypeError: An argument is unknown, or success is missing.
     """
     _check_names(fields)
     state, goal, ids = fields.get("state"), fields.get("goal"), fields.get("id")
@@ -79,7 +79,7 @@ def make_trials(spec: TaskSpec, answer: Prediction | None = None, **fields: Unpa
     if outcome is not None:
         outcomes = finite_array(outcome, "outcome", (*leading, len(spec.outcome)), allow_nan=True).reshape(count, -1)
     each_id = [uuid4() for _ in range(count)] if ids is None else _one_each(ids, "id", count)
-    costs, successes = _one_each(fields["cost"], "cost", count), _one_each(fields["success"], "success", count)
+    costs, successes = _one_each(fields.get("cost"), "cost", count), _one_each(fields["success"], "success", count)
     infos = _one_each(fields.get("info"), "info", count)
     return tuple(
         Trial.create(

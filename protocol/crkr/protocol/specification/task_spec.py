@@ -62,6 +62,7 @@ class TaskSpec:
         selector: Which samples are active: "anms", "full" or "freeze".
         refit_every: Eligible samples between evidence fits; 0 is only on request.
         start: What is explored before anything succeeded.
+        cost: "measured" in every executed trial; or "label": a trial may leave it out, and success alone says it.
     """
 
     name: str
@@ -85,6 +86,7 @@ class TaskSpec:
     selector: str = "anms"
     refit_every: int = 0
     start: Start = field(default_factory=Start)
+    cost: str = "measured"
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any], *, strict: bool = False) -> TaskSpec:
@@ -223,4 +225,5 @@ _SCALARS: Final[Mapping[str, Callable[[object], Any]]] = {
     "selector": lambda value: choice(value, "selector", ("anms", "full", "freeze")),
     "refit_every": lambda value: integer(value, "refit_every"),
     "start": Start.from_dict,
+    "cost": lambda value: choice(value, "cost", ("measured", "label")),
 }

@@ -228,3 +228,15 @@ def test_a_specification_is_a_value() -> None:
     with pytest.raises(FrozenInstanceError):
         spec.budget = 3  # type: ignore[misc]  # that is the point
     assert hash(spec) == hash(TaskSpec.from_dict(THROW))
+
+
+def test_settings_that_the_papers_exploration_does_not_read_are_no_difference() -> None:
+    one, other = (TaskSpec.from_dict({**THROW, "exploration": {"trust": trust}}) for trust in (2.0, 4.0))
+    assert one.exploration.type == "gaussian"
+    assert not one.differences(other)
+    outcome = [{"name": "miss", "target": 0.0, "tolerance": 0.1}]
+    one, other = (
+        TaskSpec.from_dict({**THROW, "outcome": outcome, "exploration": {"type": "outcome", "trust": trust}})
+        for trust in (2.0, 4.0)
+    )
+    assert one.differences(other).keys() == {"exploration"}

@@ -25,7 +25,7 @@ from crkr.learner.exploration.outcome_scales import GOAL_SHARE, OutcomeScales
 from crkr.learner.selection.anms_batch import Indices
 from crkr.protocol import Array
 
-__all__ = ["OutcomeModel", "Prospect"]
+__all__ = ["MOST_NEIGHBOURS", "OutcomeModel", "Prospect"]
 
 # Constants found on logs of several tasks; see docs/outcomes.md. Outcomes are in tolerances, steps in the metric.
 _OUTCOME: Final = StepKernel(constant=900.0, linear=100.0, bend=100.0, reach=5.0, noise=0.2)
@@ -35,7 +35,7 @@ _REFUSED: Final = -2.0
 _THRESHOLD: Final = -0.5
 _WIDTH: Final = 0.3  # of the probit
 _SAFE: Final = -0.05  # r above which a goal need not be moved to be executed
-_MOST_NEIGHBOURS: Final = 200  # a fit takes the cube of them
+MOST_NEIGHBOURS: Final = 200  # a fit takes the cube of them
 
 
 @final
@@ -98,7 +98,7 @@ class OutcomeModel:
             count: Neighbours.
         """
         x = np.concatenate([z, GOAL_SHARE * goals], axis=1)
-        p, count = goals.shape[1], min(count, _MOST_NEIGHBOURS)
+        p, count = goals.shape[1], min(count, MOST_NEIGHBOURS)
         fits, together = [], []
         for counted, sets in _sets(trials, groups, count):
             near = nearest(trials, x, [one[0] for one in sets], counted)

@@ -155,8 +155,10 @@ class TaskSpec:
     def differences(self, other: TaskSpec) -> dict[str, list[Any]]:
         """Fields, description aside, in which `other` differs: name -> [this, other]."""
         mine, theirs = self.to_dict(), other.to_dict()
-        if {self.exploration, other.exploration} == {Exploration(type="outcome"), EARLIER_EXPLORATION}:
-            del mine["exploration"]  # each version filled in its own defaults
+        if self.exploration.type == other.exploration.type == "gaussian" or (
+            {self.exploration, other.exploration} == {Exploration(type="outcome"), EARLIER_EXPLORATION}
+        ):
+            del mine["exploration"]  # without effect, or what each version filled in
         return {
             name: [mine[name], theirs[name]] for name in mine if name != "description" and mine[name] != theirs[name]
         }

@@ -15,6 +15,7 @@ from typing import Any, Final, NamedTuple, Self, final
 import numpy as np
 
 from crkr.learner import Model
+from crkr.learner.exploration.outcome_model import MOST_NEIGHBOURS
 from crkr.protocol import (
     CrkrError,
     Invalid,
@@ -34,13 +35,14 @@ from crkr.server.workers import Workers
 
 __all__ = ["Predictor"]
 
-_AT_ONCE_US: Final = 1000.0  # of work in a turn
+_AT_ONCE_US: Final = 1500.0  # of work in a turn
 _STATE_US: Final = 3.0  # a state, without the samples
 _SQUARE_US: Final = 30e-6  # each state, for each of m^2
 _PASS_US: Final = 120e-6  # any number of states, for each of m^2
-_GUIDED_US: Final = 300.0  # each state with an outcome-guided goal
+_GUIDED_US: Final = 200.0  # each state with an outcome-guided goal
 _TRIAL_US: Final = 0.016  # each such state, for each trial compared
-_FIT_US: Final = 3e-4  # for each such state, iteration, group of outcomes, neighbour, and square of a trial's numbers
+_GROUP_US: Final = 50.0  # each such state, for each group of outcomes
+_FIT_US: Final = 1.7e-4  # each such group, for each of n^3 with n neighbours
 _LEAST: Final = 8  # states at a time; with fewer, most of the work would be reading the factor
 _LONG_US: Final = 10_000.0  # of work at a time, even with fewer states
 _LONGEST: Final = 128  # name of a worker
@@ -56,9 +58,9 @@ class Predictor:
         self._tasks, self._workers = tasks, workers
 
     def answer(self, requests: list[Request]) -> list[Request]:
-        """Answer requests with a prediction or an error, for about a millisecond.
+        """Answer requests with a prediction or an error, for a millisecond or so.
 
-        A request that alone needs longer is made patient and left over, as are those behind a millisecond's work.
+        A request that alone needs longer is made patient and left over, as are those behind that much work.
 
         Returns:
             Requests left over, in order.
@@ -247,9 +249,8 @@ class _Cost(NamedTuple):
 
 def _local_fit_us(spec: TaskSpec, searched: int) -> float:
     """Estimated time of the fits to a state's nearest trials [us]."""
-    settings, width = spec.exploration, 1 + len(spec.state) + len(spec.goal)
     groups = len({entry.group for entry in spec.outcome})
-    return _FIT_US * settings.iterations * groups * min(settings.neighbours, searched) * width**2
+    return groups * (_GROUP_US + _FIT_US * min(spec.exploration.neighbours, MOST_NEIGHBOURS, searched) ** 3)
 
 
 def _refuse_long_answer(task: ServedTask, count: int) -> None:

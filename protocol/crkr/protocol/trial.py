@@ -37,7 +37,7 @@ class Trial:
         success: What the skill chose to learn from.
         kind: "trial", "demonstration", "evaluation" or "failed".
         outcome: (q,) measured numbers, NaN where not observed; None where none were given.
-        worker: Who reported it.
+        worker: Name of the worker that reported it.
         model_version: The model that proposed the goal.
         info: Plain data for people and exports, as `crkr.protocol.info` has it.
     """

@@ -50,7 +50,7 @@ class PredictRequest:
         states: (d,) or (b, d).
         explore: Draw a goal to try, rather than the best known.
         trial_ids: One a state, or empty: then the server makes them.
-        worker: Who asks.
+        worker: Name of the asking worker.
     """
 
     states: Array

@@ -42,7 +42,7 @@ class Question(NamedTuple):
         state: 8 d bytes, little-endian float64, not checked.
         explore: Draw a goal to try.
         trial_id: 16 bytes.
-        worker: Who asks.
+        worker: Name of the asking worker.
     """
 
     state: bytes
@@ -58,7 +58,7 @@ def packed_question(state: Array, explore: bool, trial_id: bytes, worker: str | 
         state: Float64, checked.
         explore: Draw a goal to try.
         trial_id: 16 bytes.
-        worker: Who asks.
+        worker: Name of the asking worker.
     """
     head, middle, tail = _question(len(state), explore, worker)
     return b"".join((head, state.tobytes(), middle, trial_id, tail))

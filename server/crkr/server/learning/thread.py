@@ -65,7 +65,7 @@ class _Line:
 
 
 @final
-class _Turns:
+class _WaitingTasks:
     """Tasks that wait for one thread, the next one first."""
 
     __slots__ = ("changed", "lines")
@@ -95,7 +95,7 @@ class Learning:
         self._notice, self._due, self._drifted = notice, due, drifted
         self._lines: dict[str, _Line] = {}  # of the tasks that have waiting steps, are held, or were long
         self._lock = threading.Lock()
-        self._turns = (_Turns(self._lock), _Turns(self._lock))  # of the first thread, and of the second
+        self._turns = (_WaitingTasks(self._lock), _WaitingTasks(self._lock))  # of the first thread, and of the second
         self._closing = self._closed = False
         self._deadline = 0.0  # on the monotonic clock, of what is done while closing
         self._backlog = self._asked = 0
@@ -176,7 +176,7 @@ class Learning:
                 step.done(None, shutting_down())
         return not any(thread.is_alive() for thread in self._threads)
 
-    def _step(self, turns: _Turns) -> bool:
+    def _step(self, turns: _WaitingTasks) -> bool:
         """One step of the next task; False at the end."""
         taken = self._take(turns)
         if taken is None:
@@ -189,7 +189,7 @@ class Learning:
             self._give_back(line, time.monotonic() - started > _LONG_S)
         return True
 
-    def _take(self, turns: _Turns) -> tuple[_Line, list[_Step]] | None:
+    def _take(self, turns: _WaitingTasks) -> tuple[_Line, list[_Step]] | None:
         """The next task's next step, joined with the trials right behind it; None at the end."""
         with self._lock:
             while not turns.lines and not self._over():

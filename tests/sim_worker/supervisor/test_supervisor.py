@@ -177,10 +177,10 @@ def test_a_task_of_another_kind_is_refused_by_the_fields_that_differ(train: Star
     assert "these fields differ: budget" in log.splitlines()[-1]
 
 
-def test_without_demonstrations_there_is_nothing_to_start_from(train: Start, task: Task) -> None:
-    status, _, log = train("--demonstrations", "0").finish()
-    assert status == 1
-    assert log.splitlines()[-1].startswith(f"error: task {task.name!r} has nothing to start from")
+def test_without_demonstrations_training_starts_from_nothing(train: Start, task: Task) -> None:
+    assert train("--demonstrations", "0", "--trials", "5").result()["demonstrations"] == 0
+    assert trained(task) == 5
+    assert trials(task, "demonstration") == []
 
 
 def test_a_skill_of_three_methods_trains_and_says_in_a_line_each_what_it_lacks(train: Start, task: Task) -> None:

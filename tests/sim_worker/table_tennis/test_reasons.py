@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from crkr.sim_worker.skill import SkillOptions, TrialResult
+from crkr.sim_worker.table_tennis.arm.collision import MARGIN
 from crkr.sim_worker.table_tennis.arm.dynamics import Arm
 from crkr.sim_worker.table_tennis.ball.constants import FACE_OFFSET, TABLE_HALF_LENGTH, TABLE_HEIGHT
 from crkr.sim_worker.table_tennis.environments.environments import ENVIRONMENTS, make_predictor
-from crkr.sim_worker.table_tennis.planner import POSTURE
+from crkr.sim_worker.table_tennis.planner import HOME, POSTURE
 from crkr.sim_worker.table_tennis.table_tennis import TableTennis
 
 SKILLS = {name: TableTennis(SkillOptions(environment=name), traces=False) for name in ENVIRONMENTS}
@@ -48,8 +49,8 @@ def _goal(reason: str, arm: Arm, good: np.ndarray) -> np.ndarray:
             return good
         case "invalid":
             return _moved(good, 4, np.nan)
-        case "infeasible":  # the hand would have to turn half round in 0.25 s
-            return np.concatenate([_moved(good, 4, np.pi)[:12], [0.25]])
+        case "infeasible":  # the hand would have to turn by 1.1 rad in 0.25 s
+            return np.concatenate([_moved(good, 4, HOME[4] + 1.1 - good[4])[:12], [0.25]])
         case "collision":  # the upper arm leans forward until the hand is in the table
             return _moved(good, 1, 0.4)
         case "miss":
@@ -104,7 +105,15 @@ def test_each_reason_to_refuse_a_goal_happens(arm: Arm, environment: str, reason
     ball, good = _planned(skill)
     outcome = skill.attempt(ball, _goal(reason, arm, good))
     assert (outcome.info["reason"], outcome.executed, outcome.success) == (reason, False, False)
-    assert (outcome.cost, outcome.outcome, outcome.trace) == (None, None, None)
+    assert (outcome.cost, outcome.trace) == (None, None)
+    if reason == "invalid":
+        assert outcome.outcome is None
+        return
+    assert outcome.outcome is not None
+    assert np.isnan(outcome.outcome[3:5]).all()  # nothing landed; where face and ball would have been is known
+    assert np.isfinite(np.delete(outcome.outcome, [3, 4, 6])).all()
+    spare, clearance = outcome.outcome[5:]
+    assert (spare < 0) if reason == "infeasible" else (clearance < MARGIN)
 
 
 @pytest.mark.parametrize("environment", ENVIRONMENTS)

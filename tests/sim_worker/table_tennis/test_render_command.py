@@ -26,12 +26,12 @@ def replayed(client: Client, hybrid: TableTennis) -> Task:
     return client.create_task(hybrid.spec())
 
 
-def _store(task: Task, skill: TableTennis, bend: float) -> tuple[UUID, TrialResult]:
-    """A trial as a worker stores it, of a planned goal with the first joint `bend` away."""
+def _store(task: Task, skill: TableTennis, bend: float, joint: int = 0) -> tuple[UUID, TrialResult]:
+    """A trial as a worker stores it, of a planned goal with one joint `bend` away [rad]."""
     state = skill.reset(np.random.default_rng(5))
     plan = skill.plan(state)
     assert plan is not None
-    goal = plan[0] + bend * np.eye(13)[0]
+    goal = plan[0] + bend * np.eye(13)[joint]
     result, name = skill.execute(goal), uuid4()
     task.report(
         state=state,
@@ -66,7 +66,7 @@ def test_a_stored_trial_is_played_again_to_the_bit(
 def test_a_trial_in_which_nothing_moved_has_no_picture(
     replayed: Task, hybrid: TableTennis, shared_endpoint: str, start_command: Any, tmp_path: Path
 ) -> None:
-    name, result = _store(replayed, hybrid, 3.0)
+    name, result = _store(replayed, hybrid, 0.5, joint=1)
     assert not result.executed
     words = ("render", "--trial", str(name), "--task", "replayed", "--connect", shared_endpoint)
     status, _, log = start_command(*words, str(tmp_path / "a.png")).finish()

@@ -202,12 +202,15 @@ class TableTennis:
 
     def _measured(self, refusal: _RefusedGoal, ball: Floats, goal: Floats) -> TrialResult:
         """The result of a refused goal, with what can be told of it: the planned miss, spare time and clearance."""
-        if refusal.reason == "invalid":
+        if refusal.reason in ("invalid", "diverged"):
             return refusal.result
         if self._predictor is None:
             self._predictor = make_predictor(self._name, magnus=self._magnus)
         goal = np.asarray(goal, dtype=np.float64)
-        path = self._predictor.path(ball, float(goal[12]) + 2 * self._predictor.timestep)
+        try:
+            path = self._predictor.path(ball, float(goal[12]) + 2 * self._predictor.timestep)
+        except Diverged:
+            return refusal.result
         row = min(round(float(goal[12]) / self._predictor.timestep), len(path) - 1)
         paddle = self._arm.paddle(goal[:6], goal[6:12])
         miss = path[row, :3] - (paddle.position + FACE_OFFSET * paddle.normal)

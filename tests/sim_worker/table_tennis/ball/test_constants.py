@@ -7,6 +7,7 @@ from crkr.sim_worker.table_tennis.arm.dynamics import SPEED_LIMITS, Arm
 from crkr.sim_worker.table_tennis.ball import constants
 from crkr.sim_worker.table_tennis.ball.launchers import LAUNCHERS
 from crkr.sim_worker.table_tennis.environments.simulation import Simulation
+from crkr.sim_worker.table_tennis.planner import HOME
 from crkr.sim_worker.table_tennis.spec import task_spec
 
 
@@ -57,8 +58,12 @@ def test_a_contact_lasts_several_time_steps(simulation: Simulation) -> None:
 
 
 def test_the_goal_is_bounded_by_the_arms_position_and_speed_limits(arm: Arm) -> None:
-    low, high = task_spec(LAUNCHERS["nominal"], "tuned").bounds
+    low, high = task_spec(LAUNCHERS["nominal"], "paper").bounds
     assert low[:6] == pytest.approx(arm.lower)
     assert high[:6] == pytest.approx(arm.upper)
+    near_low, near_high = task_spec(LAUNCHERS["nominal"], "tuned").bounds
+    assert near_low[:6] == pytest.approx(np.maximum(arm.lower, HOME - 1.2))
+    assert near_high[:6] == pytest.approx(np.minimum(arm.upper, HOME + 1.2))
+    assert (near_low[6:], near_high[6:]) == (pytest.approx(low[6:]), pytest.approx(high[6:]))
     assert high[6:12] == pytest.approx(SPEED_LIMITS)
     assert low[6:12] == pytest.approx(-SPEED_LIMITS)

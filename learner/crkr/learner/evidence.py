@@ -65,7 +65,8 @@ class FitProblem:
         """The problem of fitting a model's active samples, starting from its own kernel.
 
         Samples that are absurdly far from the others are left out: they tell nothing of length-scales, and beside them
-        the rest is lost in rounding. Of more than `_MOST` every so many stand for all, or a fit would take minutes.
+        the rest is lost in rounding. Of more than `_MOST`, evenly spaced ones are taken, as
+        a fit of all would take minutes.
 
         Raises:
             NoSamples: No sample is active.

@@ -104,7 +104,7 @@ def split_key(key: str) -> tuple[str, str, str]:
     """Splits a query's key into (scope, task, verb); scope is "rpc", "task" or "admin", task "" for "rpc".
 
     Raises:
-        Invalid: The key is none of the protocol's.
+        Invalid: The protocol has no such key.
     """
     match key.removeprefix(f"{ROOT}/").split("/"):
         case ["rpc", verb]:

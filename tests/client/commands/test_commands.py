@@ -154,6 +154,19 @@ def test_a_prediction_says_which_outcome_is_expected_of_the_goal(shared_endpoint
     assert answer["predicted_outcome"][1] is None  # never observed
 
 
+def test_hit_and_miss_are_enough_where_a_task_learns_from_labels(run: Run, tmp_path: Path) -> None:
+    name = f"toss-{uuid4()}"
+    path = tmp_path / "toss.toml"
+    path.write_text('cost = "label"' + SPEC.format(name=name))
+    run("create", str(path))
+    for label in ("--hit", "--miss"):
+        run("report", name, "--state", "1.5", "--goal", "3 0.25", label, "--wait")
+    answer = data(run("predict", name, "--state", "1.5", "--json"))
+    assert answer["active"] == 1
+    assert 0.0 < answer["success_probability"] < 1.0
+    assert "succeeds with probability" in run("predict", name, "--state", "1.5").stdout
+
+
 def test_a_report_tells_new_from_known(run: Run, task: str) -> None:
     trial = ["--state", "2", "--goal", "4, -0.5", "--cost", "0.2", "--failure", "--id", str(uuid4())]
     assert run("report", task, *trial, "--wait").stdout.startswith("stored: number 3")

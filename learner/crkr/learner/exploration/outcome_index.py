@@ -135,7 +135,7 @@ class OutcomeIndex:
         self._snapshot: ObservedTrials | None = None
 
     def extend(self, rows: Indices) -> bool:
-        """Takes note of new rows of the store; whether any of them counts."""
+        """Add new rows of the store; True if any of them counts."""
         rows = self.usable(rows)
         if not len(rows):
             return False

@@ -21,7 +21,7 @@ from crkr.protocol import Array
 
 __all__ = ["Neighbours", "nearest"]
 
-_COLUMNS: Final = 4  # for each neighbour wanted: the smallest entries of so many columns bound its distance
+_COLUMNS: Final = 4  # for each neighbour wanted; their smallest entries bound its distance
 _FEW: Final = 16  # trials for each neighbour wanted, below which all are measured at once
 _CROWD: Final = 8  # candidates for each neighbour wanted, above which points are looked at one by one
 _MARGIN: Final = 8  # times the largest error of a rounded distance; four would do
@@ -49,7 +49,7 @@ def nearest(trials: ObservedTrials, x: Array, groups: Sequence[int], count: int)
     Args:
         trials: What is searched.
         x: (b, r) points in the metric.
-        groups: Which groups, all observed in at least so many trials.
+        groups: Which groups; each was observed in at least `count` trials.
         count: k, at least 1.
     """
     search = _among_few if len(trials) < _FEW * count else _among_many

@@ -62,14 +62,14 @@ class Selection:
             self._update()
 
     def remove(self, rows: Sequence[int]) -> None:
-        """Forgets rows; those that are not eligible are none of its business."""
+        """Forget rows; rows that are not eligible are left out."""
         numbers = self._known(rows)
         if len(numbers):
             self._selector.remove(numbers)
             self._update()
 
     def recost(self, rows: Sequence[int]) -> None:
-        """Takes note of rows' new costs."""
+        """Apply the new costs of rows."""
         numbers = self._known(rows)
         if len(numbers):
             self._selector.recost(numbers, self._store.costs[self._rows.rows[numbers]])

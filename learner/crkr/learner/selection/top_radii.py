@@ -44,7 +44,7 @@ class Reserve:
         self._choose(r2)
 
     def update(self, r2: Array, touched: Indices) -> None:
-        """Takes note that the radii of these samples changed, and chooses again where that can matter."""
+        """Apply changed radii of these samples, and choose again where that can matter."""
         joining = touched[r2[touched] >= self._floor]
         if len(joining):
             self._members = np.concatenate([self._members, joining])

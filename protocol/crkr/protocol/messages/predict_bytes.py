@@ -31,7 +31,7 @@ def _entry(name: str, value: object) -> bytes:
 
 
 _ID_HEAD: Final = _entry("trial_ids", [bytes(16)])[:-16]
-_THREE: Final = bytes([0x83])  # header of a map with so many entries
+_THREE: Final = bytes([0x83])  # header of a map with three entries
 _LONGEST: Final = 128  # name of a worker
 
 

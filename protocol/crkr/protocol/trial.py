@@ -116,8 +116,8 @@ class Trial:
             cost = LABEL_COSTS[successful]
         if cost is None and checked_kind != "failed":
             raise Invalid(
-                f"cost may be null only for kind 'failed'; got kind {checked_kind!r}; report one, or make the task with "
-                'cost = "label"',
+                f"cost may be null only for kind 'failed'; got kind {checked_kind!r}; report one, or make the task "
+                'with cost = "label"',
                 details={"field": "cost"},
             )
         return cls(

@@ -1,4 +1,4 @@
-# One file for every role: ROLE is the name of a lock in requirements/ and of an extra (server, sim or dashboard).
+# One file for every role: ROLE is the name of a lock in requirements/ and of an extra (server, postgres, sim or dashboard).
 ARG BASE=docker.io/library/python:3.11-slim-bookworm
 
 FROM ${BASE} AS wheel

@@ -26,7 +26,7 @@ ASLEEP = re.compile(r"\btime\.sleep\(|\bpytest\.(?:mark\.)?(?:skip|skipif|xfail|
 def files() -> list[Path]:
     """Every text file of the project; what a run or a tool left beside them is not looked at."""
     inner = [path for folder in FOLDERS for path in (REPOSITORY / folder).rglob("*") if path.is_file()]
-    top = [path for path in REPOSITORY.iterdir() if path.is_file()]
+    top = [path for path in REPOSITORY.iterdir() if path.is_file() and path.name != ".git"]  # a second work tree's
     return sorted(
         path
         for path in [*inner, *top]

@@ -3,21 +3,22 @@ from collections.abc import Callable
 import pytest
 
 from crkr.client.tally import Tally
+from crkr.sim_worker.arm.dynamics import Arm
 from crkr.sim_worker.randomness import fresh_rng
+from crkr.sim_worker.simulation.simulation import Simulation
 from crkr.sim_worker.skill import SkillOptions
-from crkr.sim_worker.table_tennis.arm.dynamics import Arm
-from crkr.sim_worker.table_tennis.environments.simulation import Simulation
+from crkr.sim_worker.table_tennis.scene import make_arm, make_simulation
 from crkr.sim_worker.table_tennis.table_tennis import TableTennis
 
 
 @pytest.fixture(scope="package")
 def arm() -> Arm:
-    return Arm()
+    return make_arm()
 
 
 @pytest.fixture(scope="package")
 def simulation() -> Simulation:
-    return Simulation()
+    return make_simulation()
 
 
 @pytest.fixture(scope="package")

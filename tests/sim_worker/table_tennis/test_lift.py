@@ -6,16 +6,15 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from crkr.sim_worker.arm.dynamics import ACCELERATION_LIMITS, SPEED_LIMITS
 from crkr.sim_worker.primitives import JointLimits, Primitive
 from crkr.sim_worker.skill import SkillOptions
-from crkr.sim_worker.table_tennis.arm.dynamics import ACCELERATION_LIMITS, SPEED_LIMITS, Arm
 from crkr.sim_worker.table_tennis.ball.flight import flight
 from crkr.sim_worker.table_tennis.ball.incoming import FreeBall, Incoming
 from crkr.sim_worker.table_tennis.ball.launchers import LAUNCHERS
 from crkr.sim_worker.table_tennis.environments.environments import make_environment
-from crkr.sim_worker.table_tennis.environments.partial_scenes import BallAlone
-from crkr.sim_worker.table_tennis.environments.simulation import Simulation
 from crkr.sim_worker.table_tennis.planner import HOME
+from crkr.sim_worker.table_tennis.scene import make_arm, make_ball_alone, make_simulation
 from crkr.sim_worker.table_tennis.table_tennis import TableTennis
 from crkr.sim_worker.table_tennis.tracker import judge
 
@@ -83,7 +82,7 @@ def test_lift_bends_an_exact_ball_as_it_bends_a_simulated_one() -> None:
     """By how much it moves a ball 0.2 s after its bounce; the simulated ball spins some percent less."""
     rng, departures = np.random.default_rng(0), []
     exact, plain = FreeBall(magnus=True), FreeBall()
-    simulated, simulated_plain = BallAlone(magnus=True), BallAlone()
+    simulated, simulated_plain = make_ball_alone(magnus=True), make_ball_alone()
     for _ in range(12):
         ball = LAUNCHERS["wide"].draw(rng)
         row = int(1000 * (Incoming(ball, 1.0).bounces[0] + 0.2))
@@ -108,10 +107,10 @@ def test_a_return_lands_where_a_second_integrator_has_it(name: str) -> None:
     ball = skill.reset(np.random.default_rng(5))
     plan = skill.plan(ball)
     assert plan is not None
-    goal, arm = plan[0], Arm()
+    goal, arm = plan[0], make_arm()
     limits = JointLimits(arm.lower, arm.upper, SPEED_LIMITS, ACCELERATION_LIMITS)
     swing = Primitive(limits).trajectory(HOME, goal[:6], goal[6:12], goal[12])
-    play = make_environment(name, arm, Simulation(magnus=True)).play(ball, swing, float(goal[12]))
+    play = make_environment(name, arm, make_simulation(magnus=True), magnus=True).play(ball, swing, float(goal[12]))
     assert play.curl is not None
     spin = np.array(play.curl) * MASS / (0.5 * 1.2 * CROSS_SECTION * RADIUS)
     assert np.linalg.norm(spin) > 20

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from crkr.sim_worker.arm.collision import MARGIN
+from crkr.sim_worker.arm.dynamics import Arm
 from crkr.sim_worker.skill import SkillOptions, TrialResult
-from crkr.sim_worker.table_tennis.arm.collision import MARGIN
-from crkr.sim_worker.table_tennis.arm.dynamics import Arm
 from crkr.sim_worker.table_tennis.ball.constants import FACE_OFFSET, TABLE_HALF_LENGTH, TABLE_HEIGHT
 from crkr.sim_worker.table_tennis.environments.environments import ENVIRONMENTS, make_predictor
 from crkr.sim_worker.table_tennis.planner import HOME, POSTURE
@@ -35,7 +35,7 @@ def _faster(goal: np.ndarray, factor: float) -> np.ndarray:
 
 def _turned(arm: Arm, goal: np.ndarray, pitch: float, yaw: float, speed: float) -> np.ndarray:
     """The goal with the face turned about the ball [rad], moving `speed` times as fast as before, the same way."""
-    paddle = arm.paddle(goal[:6], goal[6:12])
+    paddle = arm.tool(goal[:6], goal[6:12])
     x, y, z = paddle.normal
     x, z = np.cos(pitch) * x - np.sin(pitch) * z, np.sin(pitch) * x + np.cos(pitch) * z
     normal = np.array([np.cos(yaw) * x - np.sin(yaw) * y, np.sin(yaw) * x + np.cos(yaw) * y, z])

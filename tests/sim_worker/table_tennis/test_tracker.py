@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from crkr.sim_worker.table_tennis.arm.dynamics import Paddle
+from crkr.sim_worker.arm.dynamics import ToolPose
 from crkr.sim_worker.table_tennis.ball.constants import FACE_OFFSET
 from crkr.sim_worker.table_tennis.ball.flight import Ball, flight, fly_to_height
 from crkr.sim_worker.table_tennis.environments.play import Play
@@ -22,7 +22,7 @@ def _play(after: Ball, *, miss: tuple[float, float, float] = (0.0, 0.0, 0.0), to
         hit_time=0.6,
         ball=Ball(x, y, z, 0.0, 0.0, 0.0),
         untouched=point,
-        paddle=Paddle(CENTRE, NORMAL, np.zeros(3), np.zeros(3)),
+        paddle=ToolPose(CENTRE, NORMAL, np.zeros(3), np.zeros(3)),
         touched=touched,
         end=0.72,
         after=after,

@@ -7,8 +7,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from crkr.sim_worker.table_tennis.arm.dynamics import SPEED_LIMITS
-from crkr.sim_worker.table_tennis.environments.simulation import Simulation
+from crkr.sim_worker.arm.dynamics import SPEED_LIMITS
+from crkr.sim_worker.simulation.simulation import Simulation
 
 PAGE = (Path(__file__).parents[3] / "docs/table-tennis.md").read_text()
 LINKS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")

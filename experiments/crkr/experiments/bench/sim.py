@@ -17,16 +17,16 @@ import numpy as np
 from crkr.experiments.bench.measurements import Measurement, ratio
 from crkr.experiments.learning.run import Course, trained_learner
 from crkr.protocol import Array
+from crkr.sim_worker.arm import tracking
+from crkr.sim_worker.arm.dynamics import ACCELERATION_LIMITS, SPEED_LIMITS, Arm
 from crkr.sim_worker.primitives.stroke import Infeasible, JointLimits, Primitive
 from crkr.sim_worker.randomness import training_rng
 from crkr.sim_worker.skill import SkillOptions
-from crkr.sim_worker.table_tennis.arm import tracking
-from crkr.sim_worker.table_tennis.arm.dynamics import ACCELERATION_LIMITS, SPEED_LIMITS, Arm
 from crkr.sim_worker.table_tennis.environments.analytic_batch import AnalyticBatch
 from crkr.sim_worker.table_tennis.environments.environments import ENVIRONMENTS
 from crkr.sim_worker.table_tennis.environments.play import FOLLOW
-from crkr.sim_worker.table_tennis.environments.simulation import Simulation
 from crkr.sim_worker.table_tennis.planner import HOME
+from crkr.sim_worker.table_tennis.scene import make_arm, make_simulation
 from crkr.sim_worker.table_tennis.table_tennis import TableTennis
 
 __all__ = ["environment_times", "measure"]
@@ -85,7 +85,7 @@ def environment_times(balls: Array, goals: Array, batch: int) -> dict[str, float
             spent[name] += _timed(partial(skill.attempt, ball, goal))
         spent["bare"] += bare.timed(ball, goal)
     rows = np.resize(np.arange(len(balls)), batch)
-    many = AnalyticBatch(Arm())
+    many = AnalyticBatch(make_arm())
     many.play(balls[rows], goals[rows])  # untimed
     batched = 1e3 * _timed(lambda: many.play(balls[rows], goals[rows])) / batch
     return {name: 1e3 * total / len(balls) for name, total in spent.items()} | {"batched": batched}
@@ -100,7 +100,7 @@ class _BareSteps:
     """The contact simulation of a goal with everything else prepared."""
 
     def __init__(self) -> None:
-        self._arm, self._simulation = Arm(), Simulation()
+        self._arm, self._simulation = make_arm(), make_simulation()
         self._primitive = Primitive(_limits(self._arm))
 
     def timed(self, ball: Array, goal: Array) -> float:
@@ -122,7 +122,7 @@ def _timed(call: Callable[[], object]) -> float:
 
 def _swings(goals: Array) -> Measurement:
     """The motion primitive beside Clarabel for every joint; a goal that is refused takes its time too."""
-    limits = _limits(Arm())
+    limits = _limits(make_arm())
     both = {"swing": Primitive(limits), "Clarabel": Primitive(limits, shortcuts=False)}
     ms = dict.fromkeys(both, 0.0)
 
@@ -147,7 +147,7 @@ def _agreement(run: _Run) -> Iterator[Measurement]:
         landings = np.array([np.full(2, np.nan) if r.outcome is None else r.outcome[3:5] for r in results])
         verdicts[name] = np.array([bool(r.info["outcomes"]["strict"]) for r in results]), landings
     exact, landed = verdicts.pop("analytic")
-    batched = AnalyticBatch(Arm()).play(run.balls, run.goals).strict
+    batched = AnalyticBatch(make_arm()).play(run.balls, run.goals).strict
     verdicts["analytic, batched"] = batched, np.full_like(landed, np.nan)
     for name, (strict, landings) in verdicts.items():
         apart = np.linalg.norm(landings - landed, axis=1)

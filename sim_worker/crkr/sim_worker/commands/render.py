@@ -57,7 +57,7 @@ def render(
     if out.suffix == ".mp4":
         require("av")
 
-    from crkr.sim_worker.table_tennis.pictures.trial_picture import (
+    from crkr.sim_worker.pictures.trial_picture import (
         check_kind,
         compared,
         planned,

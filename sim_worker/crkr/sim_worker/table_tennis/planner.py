@@ -8,7 +8,7 @@ from typing import Final, Protocol, final
 import numpy as np
 from numpy.typing import NDArray
 
-from crkr.sim_worker.table_tennis.arm.dynamics import SPEED_LIMITS, Arm, Unreachable
+from crkr.sim_worker.arm.dynamics import SPEED_LIMITS, Arm, Unreachable
 from crkr.sim_worker.table_tennis.ball.constants import (
     AIM,
     BALL_RADIUS,

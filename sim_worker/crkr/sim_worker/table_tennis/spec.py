@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, Final
 
 from crkr.protocol import Invalid, TaskSpec
-from crkr.sim_worker.table_tennis.arm.dynamics import SPEED_LIMITS
+from crkr.sim_worker.arm.dynamics import SPEED_LIMITS
 from crkr.sim_worker.table_tennis.ball.launchers import Launcher
 from crkr.sim_worker.table_tennis.planner import HOME
 

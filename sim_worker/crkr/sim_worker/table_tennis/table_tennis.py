@@ -11,19 +11,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crkr.protocol import Geom, Invalid, TaskSpec
+from crkr.sim_worker.arm.collision import MARGIN
+from crkr.sim_worker.arm.dynamics import ACCELERATION_LIMITS, SPEED_LIMITS
 from crkr.sim_worker.primitives.joint_motion import spare_time
 from crkr.sim_worker.primitives.profiles import demonstrated_profile, wind_up
 from crkr.sim_worker.primitives.stroke import Infeasible, JointLimits, JointTrajectory, Primitive
+from crkr.sim_worker.simulation.simulation import Diverged
 from crkr.sim_worker.skill import Demonstration, SkillOptions, TrialResult
-from crkr.sim_worker.table_tennis.arm.collision import MARGIN, CollisionCheck
-from crkr.sim_worker.table_tennis.arm.dynamics import ACCELERATION_LIMITS, SPEED_LIMITS, Arm
 from crkr.sim_worker.table_tennis.ball.constants import FACE_OFFSET
 from crkr.sim_worker.table_tennis.ball.launchers import LAUNCHERS, Launcher
 from crkr.sim_worker.table_tennis.environments.environments import ENVIRONMENTS, make_environment, make_predictor
-from crkr.sim_worker.table_tennis.environments.play import Diverged, Play
-from crkr.sim_worker.table_tennis.environments.simulation import Simulation
+from crkr.sim_worker.table_tennis.environments.play import Play
 from crkr.sim_worker.table_tennis.pictures.trace import Motion, motion, trace
 from crkr.sim_worker.table_tennis.planner import HOME, Planner, Predictor
+from crkr.sim_worker.table_tennis.scene import make_arm, make_check, make_simulation
 from crkr.sim_worker.table_tennis.spec import task_spec
 from crkr.sim_worker.table_tennis.tracker import judge
 
@@ -76,11 +77,11 @@ class TableTennis:
         self._spec = task_spec(self._launcher, preset, options.name, options.seed)
         self._options = replace(options, environment=self._name, launcher=self._launcher.name, preset=preset)
         self._low, self._high = self._spec.bounds
-        self._arm = Arm()
+        self._arm = make_arm()
         self._magnus = magnus
-        self._simulation = Simulation(magnus=magnus)
-        self._environment = make_environment(self._name, self._arm, self._simulation)
-        self._collision = CollisionCheck(self._arm, itself=cautious)
+        self._simulation = make_simulation(magnus=magnus)
+        self._environment = make_environment(self._name, self._arm, self._simulation, magnus=magnus)
+        self._collision = make_check(self._arm, itself=cautious)
         self._obstacles = "the table, the net or itself" if cautious else "the table or the net"
         self._primitive = Primitive(JointLimits(self._arm.lower, self._arm.upper, SPEED_LIMITS, ACCELERATION_LIMITS))
         self._planner: Planner | None = None
@@ -212,7 +213,7 @@ class TableTennis:
         except Diverged:
             return refusal.result
         row = min(round(float(goal[12]) / self._predictor.timestep), len(path) - 1)
-        paddle = self._arm.paddle(goal[:6], goal[6:12])
+        paddle = self._arm.tool(goal[:6], goal[6:12])
         miss = path[row, :3] - (paddle.position + FACE_OFFSET * paddle.normal)
         outcome = np.array([*miss, np.nan, np.nan, self._spare_time(goal), min(refusal.clearance, CLEAREST)])
         return replace(refusal.result, outcome=outcome)

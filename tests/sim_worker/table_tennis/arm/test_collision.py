@@ -2,18 +2,19 @@ import mujoco
 import numpy as np
 import pytest
 
-from crkr.sim_worker.table_tennis.arm.collision import MARGIN, CollisionCheck
-from crkr.sim_worker.table_tennis.arm.dynamics import Arm
+from crkr.sim_worker.arm.collision import MARGIN, CollisionCheck
+from crkr.sim_worker.arm.dynamics import Arm
+from crkr.sim_worker.simulation.simulation import Simulation
 from crkr.sim_worker.table_tennis.ball.constants import PADDLE_HALF_THICKNESS, PADDLE_RADIUS, TABLE_HEIGHT
-from crkr.sim_worker.table_tennis.environments.simulation import Simulation
 from crkr.sim_worker.table_tennis.planner import HOME, POSTURE
+from crkr.sim_worker.table_tennis.scene import make_check
 
 NORMAL = np.array([1.0, 0.0, 0.0])
 
 
 @pytest.fixture(scope="module")
 def check(arm: Arm) -> CollisionCheck:
-    return CollisionCheck(arm)
+    return make_check(arm)
 
 
 def _collides(check: CollisionCheck, joints: np.ndarray) -> bool:
@@ -89,7 +90,7 @@ def _arms(simulation: Simulation) -> list[tuple[int, int]]:
 
 
 def test_a_cautious_check_finds_what_mujoco_finds_too_near(arm: Arm, simulation: Simulation) -> None:
-    check, model = CollisionCheck(arm, itself=True), simulation.model
+    check, model = make_check(arm, itself=True), simulation.model
     data, rng, verdicts = mujoco.MjData(model), np.random.default_rng(0), []
     for _ in range(300):
         joints = rng.uniform(-np.pi, np.pi, 6)
@@ -104,7 +105,7 @@ def test_a_cautious_check_finds_what_mujoco_finds_too_near(arm: Arm, simulation:
 
 def test_only_a_cautious_check_sees_the_hand_fold_into_the_arm(arm: Arm, check: CollisionCheck) -> None:
     folded = HOME + np.array([0.0, -1.2, 1.3, 1.5, 0.0, 0.0])
-    cautious = CollisionCheck(arm, itself=True)
+    cautious = make_check(arm, itself=True)
     way = HOME + np.linspace(0, 1, 91)[:, None] * (folded - HOME)
     assert check.first(way) is None
     row = cautious.first(way)

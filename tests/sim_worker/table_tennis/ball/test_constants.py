@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from crkr.sim_worker.table_tennis.arm.dynamics import SPEED_LIMITS, Arm
+from crkr.sim_worker.arm.dynamics import SPEED_LIMITS, Arm
+from crkr.sim_worker.simulation.simulation import Simulation
 from crkr.sim_worker.table_tennis.ball import constants
 from crkr.sim_worker.table_tennis.ball.launchers import LAUNCHERS
-from crkr.sim_worker.table_tennis.environments.simulation import Simulation
 from crkr.sim_worker.table_tennis.planner import HOME
 from crkr.sim_worker.table_tennis.spec import task_spec
 

@@ -3,7 +3,7 @@ import pytest
 
 from crkr.sim_worker.table_tennis.ball.flight import Ball, flight
 from crkr.sim_worker.table_tennis.ball.incoming import FreeBall, Incoming
-from crkr.sim_worker.table_tennis.environments.partial_scenes import BallAlone
+from crkr.sim_worker.table_tennis.scene import make_ball_alone
 
 SNAPSHOT = np.array([0.5, 0.1, 1.2, -4.4, 0.1, -0.4])
 
@@ -41,7 +41,7 @@ def test_beside_the_table_it_falls_past_it() -> None:
 def test_the_simulated_ball_stays_within_centimetres_of_the_exact_one() -> None:
     """After the bounce: friction makes the soft contact some percent less springy, and its phase matters."""
     rng = np.random.default_rng(0)
-    alone, free, apart = BallAlone(), FreeBall(), []
+    alone, free, apart = make_ball_alone(), FreeBall(), []
     for _ in range(20):
         snapshot = SNAPSHOT + rng.normal(size=6) * [0, 0.1, 0.05, 0.15, 0.1, 0.2]
         exact, simulated = free.path(snapshot, 0.7), alone.path(snapshot, 0.7)

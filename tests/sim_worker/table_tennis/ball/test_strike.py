@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from crkr.sim_worker.table_tennis.arm.dynamics import Paddle
+from crkr.sim_worker.arm.dynamics import ToolPose
 from crkr.sim_worker.table_tennis.ball.flight import Ball
 from crkr.sim_worker.table_tennis.ball.strike import meeting, struck
 
@@ -39,7 +39,7 @@ def test_a_moving_paddle_meets_a_waiting_ball() -> None:
 
 
 def test_head_on_the_ball_leaves_with_the_restitution_of_the_relative_speed() -> None:
-    paddle = Paddle(np.zeros(3), X, np.array([1.5, 0.0, 0.0]), np.zeros(3))
+    paddle = ToolPose(np.zeros(3), X, np.array([1.5, 0.0, 0.0]), np.zeros(3))
     after, spin = struck(Ball(0.026, 0.0, 0.0, -3.0, 0.0, 0.0), np.zeros(3), paddle)
     assert after.vx == pytest.approx(1.5 + 0.8 * 4.5)
     assert spin == pytest.approx(np.zeros(3))
@@ -47,15 +47,15 @@ def test_head_on_the_ball_leaves_with_the_restitution_of_the_relative_speed() ->
 
 def test_a_grazing_impact_spins_the_ball_as_it_slows_it() -> None:
     """The impulse that changes the tangential speed acts a radius away: I spin = r x m change, I = 2/3 m r^2."""
-    still = Paddle(np.zeros(3), X, np.zeros(3), np.zeros(3))
+    still = ToolPose(np.zeros(3), X, np.zeros(3), np.zeros(3))
     after, spin = struck(Ball(0.026, 0.0, 0.0, -3.0, 2.0, 0.0), np.zeros(3), still)
     assert after.vy < 2.0
     assert spin == pytest.approx([0.0, 0.0, -1.5 * (after.vy - 2.0) / 0.02])
 
 
 def test_a_turning_paddle_strikes_with_the_speed_of_the_point_of_contact() -> None:
-    turning = Paddle(np.zeros(3), X, np.zeros(3), np.array([0.0, 0.0, -10.0]))  # its +y side comes forward
-    moving = Paddle(np.zeros(3), X, np.array([0.5, 0.06, 0.0]), np.zeros(3))
+    turning = ToolPose(np.zeros(3), X, np.zeros(3), np.array([0.0, 0.0, -10.0]))  # its +y side comes forward
+    moving = ToolPose(np.zeros(3), X, np.array([0.5, 0.06, 0.0]), np.zeros(3))
     ball = Ball(0.026, 0.05, 0.0, -3.0, 0.0, 0.0)
     turned, _ = struck(ball, np.zeros(3), turning)
     assert turned.vx == pytest.approx(struck(ball, np.zeros(3), moving)[0].vx)

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from crkr.sim_worker.arm.dynamics import Arm
+from crkr.sim_worker.arm.forward_kinematics import Chain
 from crkr.sim_worker.skill import SkillOptions
-from crkr.sim_worker.table_tennis.arm.dynamics import Arm
-from crkr.sim_worker.table_tennis.arm.forward_kinematics import Chain
 from crkr.sim_worker.table_tennis.environments.analytic_batch import AnalyticBatch
 from crkr.sim_worker.table_tennis.table_tennis import TableTennis
 
@@ -31,7 +31,7 @@ def test_batched_kinematics_are_the_arms(arm: Arm) -> None:
     joints, speeds = np.random.default_rng(0).uniform(-3, 3, (2, 50, 6))
     faces = Chain(arm).faces(joints, speeds)
     for row in range(50):
-        alone = arm.paddle(joints[row], speeds[row])
+        alone = arm.tool(joints[row], speeds[row])
         for many, one in zip(faces, alone, strict=True):
             assert many[row] == pytest.approx(one, abs=1e-12)
 

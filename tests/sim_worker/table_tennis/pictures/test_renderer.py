@@ -8,11 +8,11 @@ import pytest
 from matplotlib.image import imread
 
 from crkr.protocol import Invalid
+from crkr.sim_worker.pictures.renderer import SceneRenderer, save_picture
+from crkr.sim_worker.pictures.trial_picture import check_kind, planned, render_trial
+from crkr.sim_worker.simulation.simulation import Simulation
 from crkr.sim_worker.skill import SkillOptions
-from crkr.sim_worker.table_tennis.environments.simulation import Simulation
-from crkr.sim_worker.table_tennis.pictures.renderer import SceneRenderer, save_picture
 from crkr.sim_worker.table_tennis.pictures.trace import Motion
-from crkr.sim_worker.table_tennis.pictures.trial_picture import check_kind, planned, render_trial
 from crkr.sim_worker.table_tennis.table_tennis import TableTennis
 
 

@@ -7,6 +7,7 @@ from typing import Final, final
 import numpy as np
 from numpy.typing import NDArray
 
+from crkr.sim_worker.simulation.simulation import Diverged
 from crkr.sim_worker.table_tennis.ball.constants import (
     BALL_RADIUS,
     TABLE_FRICTION,
@@ -16,7 +17,6 @@ from crkr.sim_worker.table_tennis.ball.constants import (
     TABLE_RESTITUTION,
 )
 from crkr.sim_worker.table_tennis.ball.flight import STEP, Ball, Curl, bounce, curl_of, fly, fly_to_height
-from crkr.sim_worker.table_tennis.environments.play import Diverged
 
 __all__ = ["FreeBall", "Incoming"]
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from crkr.sim_worker.table_tennis.arm.dynamics import Arm, Paddle
+from crkr.sim_worker.arm.dynamics import Arm, ToolPose
 from crkr.sim_worker.table_tennis.ball.constants import (
     BALL_RADIUS,
     FACE_OFFSET,
@@ -57,13 +57,13 @@ def played(arm: Arm, incoming: Incoming, face: FaceMotion, hit_time: float) -> P
     step = float(face.times[1])
     row = meeting(path, face.centres, face.normals)
     undisturbed, _ = incoming.at(hit_time)
-    paddle = arm.paddle(*face.arm_at(hit_time / step))
+    paddle = arm.tool(*face.arm_at(hit_time / step))
     end = float(face.times[-1])
     after, spin = incoming.at(end)
     ball = undisturbed
     if row is not None:
         contact = row * step
-        after, spin = struck(*incoming.at(contact), arm.paddle(*face.arm_at(row)))
+        after, spin = struck(*incoming.at(contact), arm.tool(*face.arm_at(row)))
         if contact < hit_time:
             ball = flight(after, hit_time - contact, incoming.curl(spin))
         first = int(row) + 1
@@ -107,7 +107,7 @@ def meeting(balls: Floats, centres: Floats, normals: Floats) -> float | None:
     return None
 
 
-def struck(ball: Ball, spin: Floats, paddle: Paddle) -> tuple[Ball, Floats]:
+def struck(ball: Ball, spin: Floats, paddle: ToolPose) -> tuple[Ball, Floats]:
     """The ball and its spin (3,) [rad/s] just after a rigid impact on the paddle's face."""
     velocity, spin = bounce(
         np.array(ball[3:]),

@@ -13,10 +13,10 @@ from typing import Final, NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
+from crkr.sim_worker.arm.collision import MARGIN
+from crkr.sim_worker.arm.dynamics import ACCELERATION_LIMITS, SPEED_LIMITS, Arm
+from crkr.sim_worker.arm.forward_kinematics import Chain, Faces
 from crkr.sim_worker.primitives.quadratic_program import StrokeProgram
-from crkr.sim_worker.table_tennis.arm.collision import MARGIN
-from crkr.sim_worker.table_tennis.arm.dynamics import ACCELERATION_LIMITS, SPEED_LIMITS, Arm
-from crkr.sim_worker.table_tennis.arm.forward_kinematics import Chain, Faces
 from crkr.sim_worker.table_tennis.ball.constants import (
     BALL_RADIUS,
     FACE_OFFSET,

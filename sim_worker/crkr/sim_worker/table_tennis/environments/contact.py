@@ -7,12 +7,10 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
+from crkr.sim_worker.arm import tracking
+from crkr.sim_worker.arm.dynamics import Arm
 from crkr.sim_worker.primitives.joint_motion import JointTrajectory
-from crkr.sim_worker.table_tennis.arm import tracking
-from crkr.sim_worker.table_tennis.arm.dynamics import Arm
-from crkr.sim_worker.table_tennis.ball.flight import Ball, Curl, curl_of, flight
-from crkr.sim_worker.table_tennis.environments.play import FOLLOW, Play
-from crkr.sim_worker.table_tennis.environments.simulation import (
+from crkr.sim_worker.simulation.simulation import (
     ARM_POSITION,
     ARM_VELOCITY,
     BALL_POSITION,
@@ -23,6 +21,8 @@ from crkr.sim_worker.table_tennis.environments.simulation import (
     Simulation,
     rotated,
 )
+from crkr.sim_worker.table_tennis.ball.flight import Ball, Curl, curl_of, flight
+from crkr.sim_worker.table_tennis.environments.play import FOLLOW, Play
 
 __all__ = ["ContactEnvironment"]
 
@@ -34,11 +34,18 @@ MOST_PARTINGS = 5
 
 @final
 class ContactEnvironment:
-    """Executes swings in the contact simulation; the same ball and swing give the same bits."""
+    """Executes swings in the contact simulation; the same ball and swing give the same bits.
 
-    def __init__(self, arm: Arm, simulation: Simulation) -> None:
+    Args:
+        arm: Kinematics and dynamics.
+        simulation: The scene.
+        magnus: Whether the scene lifts a spinning ball.
+    """
+
+    def __init__(self, arm: Arm, simulation: Simulation, *, magnus: bool = False) -> None:
         self._arm = arm
         self._simulation = simulation
+        self._magnus = magnus
 
     def play(self, ball: Floats, swing: JointTrajectory, hit_time: float) -> Play:
         """Executes `swing` against the ball measured as `ball` (6,) at time 0.
@@ -78,7 +85,7 @@ class ContactEnvironment:
             hit_time=hit_time,
             ball=ball,
             untouched=untouched,
-            paddle=self._arm.paddle(at_hit[ARM_POSITION], at_hit[ARM_VELOCITY]),
+            paddle=self._arm.tool(at_hit[ARM_POSITION], at_hit[ARM_VELOCITY]),
             touched=bool(touches.size),
             end=step * (len(states) - 1),
             after=_ball(states[-1]),
@@ -89,7 +96,7 @@ class ContactEnvironment:
         )
 
     def _curl(self, state: Floats) -> Curl:
-        if not self._simulation.magnus:
+        if not self._magnus:
             return None
         return curl_of(rotated(state[None, BALL_ROTATION], state[None, BALL_SPIN])[0])
 

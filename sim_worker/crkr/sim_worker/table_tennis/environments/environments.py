@@ -14,16 +14,17 @@ from typing import Final, final
 import numpy as np
 from numpy.typing import NDArray
 
+from crkr.sim_worker.arm import tracking
+from crkr.sim_worker.arm.dynamics import Arm
 from crkr.sim_worker.primitives.joint_motion import JointTrajectory
-from crkr.sim_worker.table_tennis.arm import tracking
-from crkr.sim_worker.table_tennis.arm.dynamics import Arm
+from crkr.sim_worker.simulation.simulation import Simulation
 from crkr.sim_worker.table_tennis.ball.incoming import FreeBall, Incoming
 from crkr.sim_worker.table_tennis.ball.strike import FaceMotion, played
+from crkr.sim_worker.table_tennis.environments.arm_alone import ArmAlone
 from crkr.sim_worker.table_tennis.environments.contact import ContactEnvironment
-from crkr.sim_worker.table_tennis.environments.partial_scenes import ArmAlone, BallAlone
 from crkr.sim_worker.table_tennis.environments.play import FOLLOW, Environment, Play
-from crkr.sim_worker.table_tennis.environments.simulation import Simulation
 from crkr.sim_worker.table_tennis.planner import Predictor
+from crkr.sim_worker.table_tennis.scene import make_ball_alone
 
 __all__ = ["ENVIRONMENTS", "AnalyticEnvironment", "HybridEnvironment", "make_environment", "make_predictor"]
 
@@ -83,21 +84,21 @@ class AnalyticEnvironment:
         """
         times = np.arange(int(np.ceil((hit_time + FOLLOW) / INTERVAL)) + 1, dtype=np.float64) * INTERVAL
         joints, speeds, _ = swing.sample(times)
-        faces = [self._arm.paddle(row) for row in joints]
+        faces = [self._arm.tool(row) for row in joints]
         centres, normals = np.array([face.position for face in faces]), np.array([face.normal for face in faces])
         incoming = Incoming(ball, float(times[-1]), magnus=self._magnus)
         return played(self._arm, incoming, FaceMotion(times, joints, speeds, centres, normals), hit_time)
 
 
-def make_environment(name: str, arm: Arm, simulation: Simulation) -> Environment:
-    """The environment of that name, one of `ENVIRONMENTS`, with lift where `simulation` has it."""
+def make_environment(name: str, arm: Arm, simulation: Simulation, *, magnus: bool = False) -> Environment:
+    """The environment of that name, one of `ENVIRONMENTS`, with lift where `magnus` says so, of `simulation` too."""
     if name == "contact":
-        return ContactEnvironment(arm, simulation)
+        return ContactEnvironment(arm, simulation, magnus=magnus)
     if name == "hybrid":
-        return HybridEnvironment(arm, ArmAlone(), magnus=simulation.magnus)
-    return AnalyticEnvironment(arm, magnus=simulation.magnus)
+        return HybridEnvironment(arm, ArmAlone(), magnus=magnus)
+    return AnalyticEnvironment(arm, magnus=magnus)
 
 
 def make_predictor(name: str, *, magnus: bool = False) -> Predictor:
     """Predicts a ball that is not hit, in the environment of that name."""
-    return BallAlone(magnus=magnus) if name == "contact" else FreeBall(magnus=magnus)
+    return make_ball_alone(magnus=magnus) if name == "contact" else FreeBall(magnus=magnus)

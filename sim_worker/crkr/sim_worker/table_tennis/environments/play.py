@@ -8,11 +8,11 @@ from typing import Final, Protocol, final
 import numpy as np
 from numpy.typing import NDArray
 
+from crkr.sim_worker.arm.dynamics import ToolPose
 from crkr.sim_worker.primitives.joint_motion import JointTrajectory
-from crkr.sim_worker.table_tennis.arm.dynamics import Paddle
 from crkr.sim_worker.table_tennis.ball.flight import Ball, Curl
 
-__all__ = ["FOLLOW", "Diverged", "Environment", "Play"]
+__all__ = ["FOLLOW", "Environment", "Play"]
 
 Floats = NDArray[np.float64]
 
@@ -41,7 +41,7 @@ class Play:
     hit_time: float
     ball: Ball
     untouched: Floats
-    paddle: Paddle
+    paddle: ToolPose
     touched: bool
     end: float
     after: Ball
@@ -49,10 +49,6 @@ class Play:
     joints: Floats
     path: Floats
     curl: Curl = None
-
-
-class Diverged(Exception):
-    """The simulator warned or its numbers are not finite: nothing was measured."""
 
 
 class Environment(Protocol):

@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crkr.protocol import Invalid, TaskSpec
-from crkr.sim_worker.table_tennis.arm.dynamics import Arm, Paddle
+from crkr.sim_worker.arm.dynamics import ToolPose
 from crkr.sim_worker.table_tennis.ball.constants import TABLE_HALF_LENGTH, TABLE_HEIGHT
+from crkr.sim_worker.table_tennis.scene import make_arm
 
 __all__ = ["draw_policy", "varied"]
 
@@ -54,8 +55,8 @@ class _Hits:
     """Paddles at the hit for goals (n, 13), and the times of the hits (n,) [s]."""
 
     def __init__(self, goals: Floats) -> None:
-        arm = Arm()
-        paddles: list[Paddle] = [arm.paddle(goal[:6], goal[6:12]) for goal in goals]
+        arm = make_arm()
+        paddles: list[ToolPose] = [arm.tool(goal[:6], goal[6:12]) for goal in goals]
         self.centres = np.array([paddle.position for paddle in paddles])
         self.velocities = np.array([paddle.velocity for paddle in paddles])
         self.normals = np.array([paddle.normal for paddle in paddles])

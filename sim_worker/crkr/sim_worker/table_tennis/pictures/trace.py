@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from crkr.protocol import Trace
 from crkr.sim_worker.primitives.joint_motion import JointTrajectory
+from crkr.sim_worker.simulation.simulation import Simulation
 from crkr.sim_worker.table_tennis.environments.play import Play
-from crkr.sim_worker.table_tennis.environments.simulation import Simulation
 from crkr.sim_worker.table_tennis.tracker import Verdict, rally
 
 __all__ = ["Motion", "motion", "trace"]

@@ -7,7 +7,7 @@ from typing import Final, NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
-from crkr.sim_worker.table_tennis.arm.dynamics import Arm
+from crkr.sim_worker.arm.dynamics import Arm
 
 __all__ = ["Chain", "Faces"]
 

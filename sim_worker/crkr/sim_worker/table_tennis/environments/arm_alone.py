@@ -1,4 +1,4 @@
-"""Parts of the scene simulated alone: the ball without the arm, and the arm without the ball."""
+"""The arm simulated alone, without the ball."""
 
 from __future__ import annotations
 
@@ -7,44 +7,14 @@ from typing import Any, Final, NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
-from crkr.sim_worker.table_tennis.arm.tracking import Gains
-from crkr.sim_worker.table_tennis.environments.engine import Rollout, mujoco
-from crkr.sim_worker.table_tennis.environments.simulation import check_sound, load_spec, rotated
+from crkr.sim_worker.arm.tracking import Gains
+from crkr.sim_worker.simulation.engine import Rollout, mujoco
+from crkr.sim_worker.simulation.simulation import check_sound
+from crkr.sim_worker.table_tennis.scene import load_scene
 
-__all__ = ["ArmAlone", "ArmRecording", "BallAlone"]
+__all__ = ["ArmAlone", "ArmRecording"]
 
 Floats = NDArray[np.float64]
-
-
-@final
-class BallAlone:
-    """The same physics without the arm: a ball that is not hit.
-
-    Args:
-        magnus: Whether a spinning ball is lifted.
-    """
-
-    def __init__(self, *, magnus: bool = False) -> None:
-        spec = load_spec(magnus=magnus)
-        for unused in [*spec.actuators, spec.sensor("touch_paddle"), spec.pair("ball_paddle"), spec.body("mount")]:
-            spec.delete(unused)
-        self._model: Any = spec.compile()
-        self._data: Any = mujoco.MjData(self._model)
-        self._rollout = Rollout(nthread=0)
-        self.timestep = float(self._model.opt.timestep)
-
-    def path(self, ball: Floats, duration: float, spin: Floats | None = None) -> Floats:
-        """Position [m], velocity [m/s] and spin [rad/s] (n + 1, 9), table frame, every timestep from `ball` (6,) on.
-
-        It starts with `spin` (3,), none if None.
-        """
-        mujoco.mj_resetData(self._model, self._data)
-        start = np.concatenate([[0.0], ball[:3], [1.0, 0.0, 0.0, 0.0], ball[3:], np.zeros(3) if spin is None else spin])
-        steps = int(np.ceil(duration / self.timestep))
-        states, _ = self._rollout.rollout(self._model, self._data, start[None], nstep=steps)
-        full = np.concatenate([start[None], states[0]])
-        turning = rotated(full[:, 4:8], full[:, 11:14])  # MuJoCo's is in the ball's frame
-        return np.concatenate([full[:, 1:4], full[:, 8:11], turning], axis=1)
 
 
 class ArmRecording(NamedTuple):
@@ -70,7 +40,7 @@ class ArmAlone:
     timestep: Final = 0.0025  # [s]
 
     def __init__(self) -> None:
-        spec = load_spec()
+        spec = load_scene()
         for unused in [*spec.sensors, *spec.pairs, spec.body("ball")]:
             spec.delete(unused)
         site, face = mujoco.mjtObj.mjOBJ_SITE, mujoco.mjtSensor

@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 from crkr.protocol import Invalid
-from crkr.sim_worker.table_tennis.pictures.film import Picture, save_film
+from crkr.sim_worker.pictures.film import Picture, save_film
 
 RATE = 25
 

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from crkr.client import Task
 from crkr.protocol import Invalid, Trial
+from crkr.sim_worker.pictures.film import FILMS, save_film
+from crkr.sim_worker.pictures.renderer import SceneRenderer, save_picture, save_sequence
 from crkr.sim_worker.randomness import fresh_rng
 from crkr.sim_worker.skill import TrialResult
-from crkr.sim_worker.table_tennis.environments.simulation import Simulation
-from crkr.sim_worker.table_tennis.pictures.film import FILMS, save_film
-from crkr.sim_worker.table_tennis.pictures.renderer import SceneRenderer, save_picture, save_sequence
+from crkr.sim_worker.table_tennis.scene import make_simulation
 from crkr.sim_worker.table_tennis.table_tennis import TableTennis
 
 __all__ = ["check_kind", "compared", "planned", "render_trial", "stored_trial"]
@@ -88,7 +88,7 @@ def render_trial(
     outcome = skill.attempt(state, goal)
     if motion is None:
         raise Invalid(f"nothing to draw, as nothing moved: the goal is refused ({outcome.info['reason']})")
-    with SceneRenderer(Simulation(), width, height) as artist:
+    with SceneRenderer(make_simulation(), width, height) as artist:
         if sequence:
             save_sequence(artist, motion, path)
         elif path.suffix == ".png":

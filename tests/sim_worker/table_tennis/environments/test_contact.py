@@ -8,6 +8,16 @@ import mujoco
 import numpy as np
 import pytest
 
+from crkr.sim_worker.simulation.simulation import (
+    BALL_POSITION,
+    BALL_ROTATION,
+    BALL_SPIN,
+    BALL_VELOCITY,
+    BallAlone,
+    Diverged,
+    Simulation,
+    rotated,
+)
 from crkr.sim_worker.table_tennis.ball.constants import (
     BALL_RADIUS,
     MAGNUS,
@@ -18,18 +28,9 @@ from crkr.sim_worker.table_tennis.ball.constants import (
     TABLE_RESTITUTION,
 )
 from crkr.sim_worker.table_tennis.ball.flight import Ball, bounce, flight
-from crkr.sim_worker.table_tennis.environments.partial_scenes import ArmAlone, BallAlone
-from crkr.sim_worker.table_tennis.environments.play import Diverged
-from crkr.sim_worker.table_tennis.environments.simulation import (
-    BALL_POSITION,
-    BALL_ROTATION,
-    BALL_SPIN,
-    BALL_VELOCITY,
-    Simulation,
-    load_spec,
-    rotated,
-)
+from crkr.sim_worker.table_tennis.environments.arm_alone import ArmAlone
 from crkr.sim_worker.table_tennis.planner import HOME
+from crkr.sim_worker.table_tennis.scene import load_scene, make_ball_alone, make_simulation
 
 UP = np.array([0.0, 0.0, 1.0])
 PHASES = np.linspace(0.0, 1.0, 20, endpoint=False)  # of a time step at which the contact begins
@@ -37,7 +38,7 @@ PHASES = np.linspace(0.0, 1.0, 20, endpoint=False)  # of a time step at which th
 
 @pytest.fixture(scope="module")
 def alone() -> BallAlone:
-    return BallAlone()
+    return make_ball_alone()
 
 
 def _after_bounce(
@@ -132,7 +133,7 @@ def test_spin_does_not_bend_a_flight_unless_it_is_to(alone: BallAlone) -> None:
 def test_lift_is_that_of_its_coefficient() -> None:
     """Half density, area, coefficient r omega / v and v^2 make the force, across spin and velocity; in one step."""
     start = np.array([0.5, 0.1, 1.5, -4.4, 0.2, 1.0])
-    lifted, straight = (BallAlone(magnus=magnus).path(start, 0.002, SPIN)[1, 3:6] for magnus in (True, False))
+    lifted, straight = (make_ball_alone(magnus=magnus).path(start, 0.002, SPIN)[1, 3:6] for magnus in (True, False))
     across = np.cross(SPIN, start[3:])
     area, mass = np.pi * BALL_RADIUS**2, 0.0027
     assert (lifted - straight) / 0.001 == pytest.approx(0.5 * 1.2 * area * BALL_RADIUS * across / mass, abs=0.02)
@@ -140,7 +141,7 @@ def test_lift_is_that_of_its_coefficient() -> None:
 
 def test_a_lifted_flight_is_that_of_the_formula() -> None:
     start = Ball(0.5, 0.1, 1.5, -4.4, 0.2, 1.0)
-    path = BallAlone(magnus=True).path(np.array(start), 0.3, SPIN)
+    path = make_ball_alone(magnus=True).path(np.array(start), 0.3, SPIN)
     curl = MAGNUS * SPIN
     expected = np.array(flight(start, 0.3, (float(curl[0]), float(curl[1]), float(curl[2]))))
     assert np.abs(path[-1, :6] - expected).max() < 2.5e-3
@@ -160,7 +161,7 @@ def test_runs_repeat_bitwise_whatever_ran_before(simulation: Simulation) -> None
     first = simulation.run(start, controls).states.tobytes()
     simulation.run(simulation.start(HOME + 0.1, np.array([0.4, 0.0, 1.0, -4.0, 0.3, 0.0])), controls * 0.5)
     assert simulation.run(start, controls).states.tobytes() == first
-    assert Simulation().run(start, controls).states.tobytes() == first
+    assert make_simulation().run(start, controls).states.tobytes() == first
 
 
 def test_a_breakdown_is_reported_and_leaves_no_trace(simulation: Simulation) -> None:
@@ -198,9 +199,9 @@ def test_a_breakdown_writes_no_file(tmp_path: Path) -> None:
     program = (
         "import numpy as np\n"
         "from crkr.sim_worker.table_tennis.planner import HOME\n"
-        "from crkr.sim_worker.table_tennis.environments.play import Diverged\n"
-        "from crkr.sim_worker.table_tennis.environments.simulation import Simulation\n"
-        "simulation = Simulation()\n"
+        "from crkr.sim_worker.simulation.simulation import Diverged\n"
+        "from crkr.sim_worker.table_tennis.scene import make_simulation\n"
+        "simulation = make_simulation()\n"
         "start = simulation.start(HOME, np.array([0.5, 0.1, 1.2, 1e12, 0.0, 0.0]))\n"
         "try:\n"
         "    simulation.run(start, np.zeros((20, 6)))\n"
@@ -242,7 +243,7 @@ def test_shapes_stand_where_mujoco_has_them(simulation: Simulation) -> None:
 
 
 def test_only_the_ball_touches_anything() -> None:
-    model = load_spec().compile()
+    model = load_scene().compile()
     assert not model.geom_contype.any()
     pairs = zip(model.pair_geom1, model.pair_geom2, strict=True)
     touching = [{model.geom(int(index)).name for index in pair} for pair in pairs]

@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from crkr.sim_worker.arm.dynamics import Arm
 from crkr.sim_worker.primitives.joint_motion import JointTrajectory
-from crkr.sim_worker.table_tennis.arm.dynamics import Arm
 
 __all__ = ["Gains", "controls"]
 

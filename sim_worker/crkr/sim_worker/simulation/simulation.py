@@ -1,28 +1,24 @@
-"""MuJoCo, wrapped: the scene, whole swings in one call, body poses and shapes for drawing."""
+"""MuJoCo, wrapped: a scene of an arm and a ball, whole motions in one call, body poses and shapes for drawing."""
 
 from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from importlib.resources import as_file, files
 from typing import Any, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from crkr.sim_worker.arm.tracking import Gains
+from crkr.sim_worker.simulation.engine import Rollout, mujoco
+from crkr.sim_worker.simulation.scene_file import scene_xml
 from crkr.sim_worker.skill import Geom
-from crkr.sim_worker.table_tennis.arm.tracking import Gains
-from crkr.sim_worker.table_tennis.ball.constants import BALL_MASS, BALL_RADIUS, MAGNUS
-from crkr.sim_worker.table_tennis.environments.engine import Rollout, mujoco
-from crkr.sim_worker.table_tennis.environments.play import Diverged
 
-__all__ = ["Recording", "Simulation", "load_spec", "rotated"]
+__all__ = ["BallAlone", "Diverged", "Recording", "Simulation", "check_sound", "load_spec", "rotated"]
 
 Floats = NDArray[np.float64]
 
 JOINTS = 6
-AIR_DENSITY = 1.2  # [kg/m^3], as in scene.xml
-BALL_VOLUME = 4 / 3 * np.pi * BALL_RADIUS**3  # [m^3]
 # A full physics state: time, arm and ball positions (6, then 3 + quaternion), arm and ball velocities (6, then 3 + 3).
 ARM_POSITION, BALL_POSITION, BALL_ROTATION = slice(1, 7), slice(7, 10), slice(10, 14)
 ARM_VELOCITY, BALL_VELOCITY, BALL_SPIN = slice(14, 20), slice(20, 23), slice(23, 26)
@@ -47,12 +43,16 @@ if mujoco.get_mju_user_warning() is None:
     mujoco.set_mju_user_warning(_to_log)
 
 
+class Diverged(Exception):
+    """The simulator warned or its numbers are not finite: nothing was measured."""
+
+
 class Recording(NamedTuple):
     """A simulated stretch of time, n steps after the start.
 
     Attributes:
         states: (n + 1, 26) full physics states.
-        touching: (n,) whether the ball is in contact with the paddle within each step.
+        touching: (n,) whether the ball is in contact with the tool within each step.
     """
 
     states: Floats
@@ -61,20 +61,19 @@ class Recording(NamedTuple):
 
 @final
 class Simulation:
-    """The scene under MuJoCo. One object serves one thread; runs share nothing: same input, same bits.
+    """A scene under MuJoCo. One object serves one thread; runs share nothing: same input, same bits.
 
     Args:
-        magnus: Whether a spinning ball is lifted.
+        spec: The scene, as `load_spec` gives it.
+        touch: Name of its sensor of contact between ball and tool.
     """
 
-    def __init__(self, *, magnus: bool = False) -> None:
-        self.model: Any = load_spec(magnus=magnus).compile()
-        self.magnus = magnus
+    def __init__(self, spec: Any, touch: str) -> None:
+        self.model: Any = spec.compile()
         self._data: Any = mujoco.MjData(self.model)
         self._rollout = Rollout(nthread=0)
         self._warmstart = np.zeros((1, self.model.nv))
-        touch = self.model.sensor("touch_paddle")
-        self._touch = int(touch.adr[0])
+        self._touch = slice(*(self.model.sensor(touch).adr[0] + np.array([0, self.model.sensor(touch).dim[0]])))
         self.gains = Gains.of(self.model)
         self.timestep = float(self.model.opt.timestep)
         self._moving = [
@@ -97,7 +96,7 @@ class Simulation:
 
         Args:
             start: (26,) full physics state.
-            controls: (n, 6) generalised controls, see scene.xml [N m].
+            controls: (n, u) of the scene's u actuators; see actuators.xml for the arm's six [N m].
 
         Raises:
             Diverged: MuJoCo warned, or the result is not finite.
@@ -107,7 +106,7 @@ class Simulation:
             self.model, self._data, start[None], controls[None], initial_warmstart=self._warmstart
         )
         check_sound(self._data, states[0, -1])
-        return Recording(np.concatenate([start[None], states[0]]), sensed[0, :, self._touch] > 0)
+        return Recording(np.concatenate([start[None], states[0]]), (sensed[0, :, self._touch] > 0).any(axis=1))
 
     def poses(self, joints: Floats, balls: Floats) -> tuple[Floats, Floats]:
         """Positions (m, b, 3) and scalar-last rotations (m, b, 4) of `bodies`, for joints (m, 6) and balls (m, 3)."""
@@ -153,6 +152,39 @@ class Simulation:
         )
 
 
+@final
+class BallAlone:
+    """The same physics without the arm: a ball that nothing of the arm touches.
+
+    Args:
+        spec: The scene, as `load_spec` gives it; its ball and its obstacles are kept.
+    """
+
+    def __init__(self, spec: Any) -> None:
+        mount = spec.body("mount")
+        arm = {shape.name for shape in mount.find_all(mujoco.mjtObj.mjOBJ_GEOM)}
+        pairs = [pair for pair in spec.pairs if {pair.geomname1, pair.geomname2} & arm]
+        for unused in [*spec.actuators, *spec.sensors, *pairs, mount]:
+            spec.delete(unused)
+        self.model: Any = spec.compile()
+        self._data: Any = mujoco.MjData(self.model)
+        self._rollout = Rollout(nthread=0)
+        self.timestep = float(self.model.opt.timestep)
+
+    def path(self, ball: Floats, duration: float, spin: Floats | None = None) -> Floats:
+        """Position [m], velocity [m/s] and spin [rad/s] (n + 1, 9), scene's frame, every timestep from `ball` (6,) on.
+
+        It starts with `spin` (3,), none if None.
+        """
+        mujoco.mj_resetData(self.model, self._data)
+        start = np.concatenate([[0.0], ball[:3], [1.0, 0.0, 0.0, 0.0], ball[3:], np.zeros(3) if spin is None else spin])
+        steps = int(np.ceil(duration / self.timestep))
+        states, _ = self._rollout.rollout(self.model, self._data, start[None], nstep=steps)
+        full = np.concatenate([start[None], states[0]])
+        turning = rotated(full[:, 4:8], full[:, 11:14])  # MuJoCo's is in the ball's frame
+        return np.concatenate([full[:, 1:4], full[:, 8:11], turning], axis=1)
+
+
 def check_sound(data: Any, last: Floats) -> None:
     """Raises `Diverged` if MuJoCo warned or its last state is not finite."""
     if data.warning.number.any() or not np.isfinite(last).all():
@@ -160,13 +192,9 @@ def check_sound(data: Any, last: Floats) -> None:
         raise Diverged(f"the simulation broke down: {', '.join(raised) or 'not finite'}")
 
 
-def load_spec(*, magnus: bool = False) -> Any:
-    """The scene as an editable MuJoCo specification."""
-    with as_file(files("crkr.sim_worker.table_tennis") / "scene.xml") as path:
-        spec = mujoco.MjSpec.from_file(str(path))
-    if magnus:  # The last coefficient is relative to density * volume * spin x velocity.
-        spec.geom("ball").fluid_coefs[4] += MAGNUS * BALL_MASS / (AIR_DENSITY * BALL_VOLUME)
-    return spec
+def load_spec(folder: str) -> Any:
+    """The scene in a folder of this package, as an editable MuJoCo specification."""
+    return mujoco.MjSpec.from_string(scene_xml(folder))
 
 
 def _triple(values: Floats) -> tuple[float, float, float]:

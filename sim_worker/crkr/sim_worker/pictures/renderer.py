@@ -11,9 +11,9 @@ import numpy as np
 
 from crkr.client.cli.output_file import output_file
 from crkr.protocol import Invalid
-from crkr.sim_worker.table_tennis.environments.engine import make_renderer, mujoco
-from crkr.sim_worker.table_tennis.environments.simulation import Simulation
-from crkr.sim_worker.table_tennis.pictures.film import Picture
+from crkr.sim_worker.pictures.film import Picture
+from crkr.sim_worker.simulation.engine import make_renderer, mujoco
+from crkr.sim_worker.simulation.simulation import Simulation
 from crkr.sim_worker.table_tennis.pictures.trace import Motion
 
 __all__ = ["SceneRenderer", "save_picture", "save_sequence"]

@@ -1,15 +1,16 @@
-"""Kinematics and dynamics of the arm, by Pinocchio on the same scene file that MuJoCo simulates."""
+"""Kinematics and dynamics of the arm, by Pinocchio on the same scene that MuJoCo simulates."""
 
 from __future__ import annotations
 
-from importlib.resources import as_file, files
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple, final
 
 import numpy as np
 import pinocchio
 from numpy.typing import NDArray
 
-__all__ = ["ACCELERATION_LIMITS", "SPEED_LIMITS", "Arm", "Paddle", "Unreachable"]
+__all__ = ["ACCELERATION_LIMITS", "SPEED_LIMITS", "Arm", "ToolPose", "Unreachable"]
 
 Floats = NDArray[np.float64]
 
@@ -25,15 +26,15 @@ ITERATIONS = 40
 
 
 class Unreachable(Exception):
-    """No joint position puts the paddle there within the limits."""
+    """No joint position puts the tool there within the limits."""
 
 
-class Paddle(NamedTuple):
-    """Where the paddle's face is.
+class ToolPose(NamedTuple):
+    """Where the tool is and how it moves: a paddle's face, a hand's palm.
 
     Attributes:
-        position: (3,) centre of the blade [m].
-        normal: (3,) unit normal of the front face.
+        position: (3,) its centre [m].
+        normal: (3,) unit normal of its front.
         velocity: (3,) of the centre [m/s].
         spin: (3,) angular velocity [rad/s].
     """
@@ -46,20 +47,27 @@ class Paddle(NamedTuple):
 
 @final
 class Arm:
-    """Six joints and a paddle; joint vectors are (6,) in radians from shoulder pan to wrist 3."""
+    """Six joints and a tool; joint vectors are (6,) in radians from shoulder pan to wrist 3.
 
-    def __init__(self) -> None:
-        with as_file(files("crkr.sim_worker.table_tennis") / "scene.xml") as path:
+    Args:
+        scene: Text of a scene that holds the arm.
+        tool: Name of the site on the tool whose x axis is the tool's normal.
+    """
+
+    def __init__(self, scene: str, tool: str) -> None:
+        with TemporaryDirectory() as folder:  # Pinocchio reads files only
+            path = Path(folder) / "scene.xml"
+            path.write_text(scene, encoding="utf-8")
             self.model: Any = pinocchio.buildModelFromMJCF(str(path))
-            # Shapes without collision masks, the table's included, are "visual" to Pinocchio.
+            # Shapes without collision masks, obstacles included, are "visual" to Pinocchio.
             self.shapes: Any = pinocchio.buildGeomFromMJCF(self.model, str(path), pinocchio.GeometryType.VISUAL)
         self._data = self.model.createData()
-        self._frame = self.model.getFrameId("paddle")
+        self._frame = self.model.getFrameId(tool)
         self.lower = np.array(self.model.lowerPositionLimit)
         self.upper = np.array(self.model.upperPositionLimit)
 
-    def paddle(self, joints: Floats, speeds: Floats | None = None) -> Paddle:
-        """Pose of the paddle, and its velocity for joint `speeds` (6,) [rad/s] (at rest if None)."""
+    def tool(self, joints: Floats, speeds: Floats | None = None) -> ToolPose:
+        """Pose of the tool, and its velocity for joint `speeds` (6,) [rad/s] (at rest if None)."""
         model, data = self.model, self._data
         if speeds is None:
             pinocchio.forwardKinematics(model, data, joints)
@@ -70,10 +78,10 @@ class Arm:
             twist = pinocchio.getFrameVelocity(model, data, self._frame, aligned)
             velocity, spin = np.array(twist.linear), np.array(twist.angular)
         placement = pinocchio.updateFramePlacement(model, data, self._frame)
-        return Paddle(np.array(placement.translation), np.array(placement.rotation[:, 0]), velocity, spin)
+        return ToolPose(np.array(placement.translation), np.array(placement.rotation[:, 0]), velocity, spin)
 
     def jacobian(self, joints: Floats) -> Floats:
-        """(6, 6) of the paddle's centre: linear velocity over angular velocity, in the table frame."""
+        """(6, 6) of the tool's centre: linear velocity over angular velocity, in the scene's frame."""
         aligned = pinocchio.ReferenceFrame.LOCAL_WORLD_ALIGNED
         return np.array(pinocchio.computeFrameJacobian(self.model, self._data, joints, self._frame, aligned))
 
@@ -82,7 +90,7 @@ class Arm:
         return np.array(pinocchio.rnea(self.model, self._data, joints, speeds, accelerations))
 
     def reach(self, position: Floats, normal: Floats, posture: Floats) -> Floats:
-        """Joints that put the paddle's centre at `position` (3,) [m], its front facing along `normal` (3,).
+        """Joints that put the tool's centre at `position` (3,) [m], its front facing along `normal` (3,).
 
         Damped Gauss-Newton from `posture` (6,), which also settles the one redundant direction, so that nearby
         targets have nearby answers.
@@ -92,14 +100,14 @@ class Arm:
         """
         joints = np.array(posture, dtype=np.float64)
         for iteration in range(ITERATIONS):
-            paddle, jacobian = self.paddle(joints), self.jacobian(joints)
+            pose, jacobian = self.tool(joints), self.jacobian(joints)
             # The normal n moves with omega x n, of which only the two components across n are free.
-            across = np.array(_tangents(paddle.normal))  # (2, 3)
-            error = np.concatenate([position - paddle.position, across @ normal])  # (5,)
-            facing = float(paddle.normal @ normal) > 0
+            across = np.array(_tangents(pose.normal))  # (2, 3)
+            error = np.concatenate([position - pose.position, across @ normal])  # (5,)
+            facing = float(pose.normal @ normal) > 0
             if facing and iteration > PULLS and np.abs(error).max() < 1e-10:
                 break
-            turning = across @ -_skew(paddle.normal) @ jacobian[3:]
+            turning = across @ -_skew(pose.normal) @ jacobian[3:]
             rows = np.vstack([jacobian[:3], turning])  # (5, 6)
             inverse = rows.T @ np.linalg.inv(rows @ rows.T + DAMPING * min(1.0, float(error @ error)) * np.eye(5))
             rest = (POSTURE_GAIN if iteration < PULLS else 0.0) * (posture - joints)
@@ -112,7 +120,7 @@ class Arm:
         return joints
 
     def speeds_for(self, joints: Floats, velocity: Floats) -> Floats:
-        """Smallest joint speeds (6,) [rad/s], relative to the limits, for a `velocity` (3,) of the paddle's centre."""
+        """Smallest joint speeds (6,) [rad/s], relative to the limits, for a `velocity` (3,) of the tool's centre."""
         rows = self.jacobian(joints)[:3] * SPEED_LIMITS
         return np.asarray(SPEED_LIMITS * (rows.T @ np.linalg.solve(rows @ rows.T, velocity)), dtype=np.float64)
 

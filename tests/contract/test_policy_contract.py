@@ -133,6 +133,7 @@ def test_a_report_twice_is_stored_once(policy: LearnedPolicy) -> None:
         {"state": [1.0, 1e-9]},
         {"goal": [0.5, 0.5, 5.000001]},
         {"success": False},
+        {"learn": False},
         {"kind": "evaluation"},
     ],
 )
@@ -187,6 +188,29 @@ def test_a_failed_or_judged_trial_is_kept_and_not_learned_from(policy: LearnedPo
     policy.report(state=[1.0, 0.0], goal=[0.5, 0.5, 5.0], cost=0.1, success=False)
     assert policy.active_ids == [learned]
     assert policy.predict([1.0, 0.0]).model_version == 5
+
+
+def test_a_trial_may_be_a_success_that_is_not_learned_from_and_a_miss_that_is(policy: LearnedPolicy) -> None:
+    [learned] = teach(policy, 1)
+    lucky, instructive = uuid4(), uuid4()
+    known: Fields = {"state": [1.0, 0.0], "goal": [0.5, 0.5, 5.0], "cost": 0.4}
+    policy.report(**known, success=True, learn=False, id=lucky)
+    policy.report(**known, success=False, learn=True, id=instructive)
+    assert set(policy.active_ids) == {learned, instructive}
+    policy.configure({"learn_from": "all"})
+    assert set(policy.active_ids) == {learned, instructive}
+    again = policy.report(**known, success=True, learn=False, id=lucky)
+    assert (again.accepted, again.duplicates) == (0, 1)
+
+
+@pytest.mark.parametrize(
+    ("kind", "learn"), [("failed", True), ("evaluation", True), ("demonstration", False), ("trial", "yes")]
+)
+def test_what_cannot_be_learned_from_or_always_is_takes_no_other_word(
+    policy: LearnedPolicy, kind: str, learn: object
+) -> None:
+    with pytest.raises(Invalid, match="learn"):
+        policy.report(state=[1.0, 0.0], goal=[0.5, 0.5, 5.0], cost=0.4, success=False, kind=kind, learn=learn)
 
 
 def test_the_budget_is_kept(make_policy: MakePolicy) -> None:

@@ -61,7 +61,7 @@ def as_columns(seqs: Sequence[int], trials: Sequence[Trial]) -> TrialColumns:
         goals=np.array([trial.goal for trial in trials]),
         costs=np.array([np.nan if trial.cost is None else trial.cost for trial in trials]),
         kinds=np.array([KINDS.index(trial.kind) for trial in trials], dtype=np.uint8),
-        success=np.array([trial.success for trial in trials]),
+        flags=np.array([trial.flags for trial in trials], dtype=np.uint8),
         outcomes=np.array([np.full(2, np.nan) if trial.outcome is None else trial.outcome for trial in trials]),
     )
 
@@ -73,7 +73,7 @@ def test_columns_are_refused_out_of_order_out_of_bulk_and_with_a_known_id(make_s
     with pytest.raises(Invalid, match="bulk"):
         learner.apply_columns(as_columns([2, 3, 4], trials))
     with pytest.raises(Invalid, match="one entry a trial"):
-        replace(as_columns([2, 3, 4], trials), success=np.array([True]))
+        replace(as_columns([2, 3, 4], trials), flags=np.array([1], dtype=np.uint8))
     with learner.bulk():
         with pytest.raises(Invalid, match="ascend"):
             learner.apply_columns(as_columns([2, 4, 3], trials))

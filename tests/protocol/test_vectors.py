@@ -52,6 +52,7 @@ AGAIN: dict[str, Callable[[dict[str, Any]], Mapping[str, Any]]] = {
     "predict.batch.request": lambda message: PredictRequest.from_wire(message, 2).to_wire(),
     "predict.reply": lambda message: Prediction.from_wire(message, STATE).to_wire(),
     "report.request": lambda message: ReportRequest.from_wire(message, spec()).to_wire(),
+    "report.learn.request": lambda message: ReportRequest.from_wire(message, spec()).to_wire(),
     "report.reply": lambda message: Receipt.from_wire(message).to_wire(),
     "samples.reply": lambda message: {
         "samples": [StoredTrial.from_wire(entry, spec()).to_wire() for entry in message["samples"]],

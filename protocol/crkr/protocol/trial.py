@@ -17,11 +17,13 @@ from crkr.protocol.errors import Invalid
 from crkr.protocol.info import MAX_INFO_BYTES, check_info, info_from_wire
 from crkr.protocol.specification.task_spec import TaskSpec
 
-__all__ = ["KINDS", "MAX_INFO_BYTES", "Trial"]
+__all__ = ["KINDS", "MAX_INFO_BYTES", "Trial", "may_learn", "success_and_learn"]
 
 # What a trial cost where only its success is told: not 0 and 1, so that one label is never taken as certain.
 LABEL_COSTS: Final = {True: 0.1, False: 0.9}
 KINDS: Final = ("trial", "demonstration", "evaluation", "failed")
+_LEARN_TOLD: Final = 2  # of `Trial.flags`
+_LEARN: Final = 4
 
 
 @final
@@ -34,12 +36,13 @@ class Trial:
         state: (d,) the situation.
         goal: (p,) the meta-parameters that were executed.
         cost: In [0, 1]; None only for kind "failed".
-        success: What the skill chose to learn from.
+        success: It did what was wanted.
         kind: "trial", "demonstration", "evaluation" or "failed".
         outcome: (q,) measured numbers, NaN where not observed; None where none were given.
         worker: Name of the worker that reported it.
         model_version: The model that proposed the goal.
         info: Plain data for people and exports, as `crkr.protocol.info` has it.
+        learn: Whether the regression may learn from it, only for kind "trial"; None: the task's `learn_from` decides.
     """
 
     id: UUID
@@ -52,6 +55,7 @@ class Trial:
     worker: str | None = None
     model_version: int | None = None
     info: Mapping[str, Any] = field(default_factory=dict)
+    learn: bool | None = None
 
     @classmethod
     def create(
@@ -68,6 +72,7 @@ class Trial:
         worker: object = None,
         model_version: object = None,
         info: object = None,
+        learn: object = None,
     ) -> Trial:
         """Checks a trial against its task.
 
@@ -90,6 +95,7 @@ class Trial:
             worker=worker,
             model_version=model_version,
             info=check_info(info),
+            learn=learn,
         )
 
     @classmethod
@@ -107,6 +113,7 @@ class Trial:
         worker: object,
         model_version: object,
         info: dict[str, Any],
+        learn: object,
     ) -> Trial:
         checked_kind = choice(kind, "kind", KINDS)
         successful = flag(success, "success")
@@ -131,6 +138,7 @@ class Trial:
             worker=None if worker is None else text(worker, "worker", longest=128),
             model_version=None if model_version is None else integer(model_version, "model_version"),
             info=info,
+            learn=_learn(learn, checked_kind),
         )
 
     @classmethod
@@ -159,6 +167,7 @@ class Trial:
             worker=message.get("worker"),
             model_version=message.get("model_version"),
             info=read_info(message.get("info")),
+            learn=message.get("learn"),
         )
 
     def to_wire(self) -> dict[str, Any]:
@@ -171,7 +180,7 @@ class Trial:
             "success": self.success,
             "kind": self.kind,
         }
-        for name in ("outcome", "worker", "model_version"):
+        for name in ("outcome", "worker", "model_version", "learn"):
             value = getattr(self, name)
             if value is not None:
                 message[name] = value
@@ -179,14 +188,48 @@ class Trial:
             message["info"] = dict(self.info)
         return message
 
+    def eligible(self, learn_from: str) -> bool:
+        """Whether a task that learns from "successes" or from "all" may learn from it."""
+        if self.kind != "trial":
+            return self.kind == "demonstration"
+        return may_learn(self.success, self.learn, learn_from)
+
+    @property
+    def flags(self) -> int:
+        """`success` and `learn` in one number; 0 or 1 where `learn` is left to the task."""
+        return int(self.success) | (0 if self.learn is None else _LEARN_TOLD | _LEARN * self.learn)
+
     def digest(self) -> bytes:
         """16 bytes that are equal exactly when the content (bitwise, provenance aside) is."""
         cost = struct.pack("<d", float("nan") if self.cost is None else self.cost)
-        head = bytes([KINDS.index(self.kind), self.success, self.outcome is not None, self.cost is not None])
+        head = bytes([KINDS.index(self.kind), self.flags, self.outcome is not None, self.cost is not None])
         content = [head, self.state.tobytes(), self.goal.tobytes(), cost]
         if self.outcome is not None:
             content.append(self.outcome.tobytes())
         return blake2b(b"".join(content), digest_size=16).digest()
+
+
+def success_and_learn(flags: int) -> tuple[bool, bool | None]:
+    """What `Trial.flags` stands for."""
+    return bool(flags & 1), bool(flags & _LEARN) if flags & _LEARN_TOLD else None
+
+
+def may_learn(success: bool, learn: bool | None, learn_from: str) -> bool:
+    """Whether a task that learns from "successes" or from "all" may learn from a trial of kind "trial"."""
+    return (success or learn_from == "all") if learn is None else learn
+
+
+def _learn(value: object, kind: str) -> bool | None:
+    """A trial's `learn`; None for the other kinds, of which demonstrations are always learned from."""
+    if value is None:
+        return None
+    learn = flag(value, "learn")
+    if kind != "trial" and learn != (kind == "demonstration"):
+        raise Invalid(
+            f"learn cannot be {str(learn).lower()} for kind {kind!r}; only a trial may be learned from or not",
+            details={"field": "learn"},
+        )
+    return learn if kind == "trial" else None
 
 
 def _goal(value: object, spec: TaskSpec) -> Array:

@@ -184,11 +184,13 @@ class GuardedSkill:
             kind="trial" if _scalar(result.executed) else "failed",
             outcome=result.outcome,
             info=result.info,
+            learn=_scalar(result.learn) if _scalar(result.executed) else None,
         )
         if trial.kind == "trial":
             self._criteria = tuple(success_by_criterion(trial.success, trial.info))
         trace = result.trace if isinstance(result.trace, Trace) else None
-        return TrialResult(trial.cost, trial.success, trial.kind == "trial", trial.outcome, trial.info, trace)
+        measured = trial.outcome, trial.info, trace, trial.learn
+        return TrialResult(trial.cost, trial.success, trial.kind == "trial", *measured)
 
     def _failed(self, error: BaseException) -> TrialResult:
         """A failed trial, which meets none of the criteria of the trials before it."""

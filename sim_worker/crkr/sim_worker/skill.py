@@ -64,11 +64,12 @@ class TrialResult:
 
     Attributes:
         cost: In [0, 1]; None where nothing was executed or measured.
-        success: Whether the trial succeeded, by the criterion that the skill learns from.
+        success: Whether the trial did what is wanted.
         executed: False for a goal that was refused or could not be measured (kind "failed").
         outcome: (q,) signed measurements, NaN where not observed; None where the spec declares none.
         info: Plain data for the log, e.g. {"reason": "miss", "outcomes": {"paper": False, "strict": False}}.
         trace: The motion, for displays; None where nothing moved.
+        learn: Whether the regression may learn from it; None: the task's `learn_from` decides.
     """
 
     cost: float | None
@@ -77,6 +78,7 @@ class TrialResult:
     outcome: Floats | None = None
     info: Mapping[str, Any] = field(default_factory=dict)
     trace: Trace | None = None
+    learn: bool | None = None
 
 
 @dataclass(frozen=True, slots=True)

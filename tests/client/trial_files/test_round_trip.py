@@ -48,6 +48,7 @@ def some_trials(task: Task) -> list[Trial]:
                 outcome=[None, [float("nan")], [float(rng.normal())]][number % 3],
                 worker=[None, "ada", 'bob, "the arm"\n'][number % 3],
                 model_version=None if number % 4 else number,
+                learn=[None, True, False][number % 7 % 3] if kind == "trial" else None,
                 info={"epoch": number, "odd": [float("nan"), b"\0\xff", {"é": None}]} if number % 2 else None,
             )
         )

@@ -38,6 +38,7 @@ def trial(number: int, rng: np.random.Generator) -> Trial:
         success=kind != "failed" and bool(rng.integers(2)),
         kind=kind,
         outcome=[float("nan")] if number % 3 == 0 else [0.5] if number % 3 == 1 else None,
+        learn=bool(number % 2) if kind == "trial" and number % 5 == 0 else None,
     )
 
 
@@ -99,7 +100,7 @@ def test_blocks_hold_what_reading_gives(database: Path, upto: int) -> None:
     np.testing.assert_array_equal(np.concatenate([np.empty((0, 1)), *read]), np.reshape(outcomes, (-1, 1)))
     kinds = [KINDS[kind] for block in found for kind in block.kinds]
     assert kinds == [one.trial.kind for one in trials]
-    assert [bool(flag) for block in found for flag in block.success] == [one.trial.success for one in trials]
+    assert [int(flags) for block in found for flags in block.flags] == [one.trial.flags for one in trials]
 
 
 def test_a_restart_from_kept_radii_and_one_without_give_the_same_task(database: Path) -> None:
@@ -130,7 +131,7 @@ def test_a_restart_from_kept_radii_and_one_without_give_the_same_task(database: 
     [
         ("UPDATE trial SET state = x'0000000000000000' WHERE seq = 4000", "position 4000 does not match"),
         ("UPDATE trial SET cost = 0.123 WHERE seq = 4001", "position 4001 does not match"),
-        ("UPDATE trial SET success = 1 - success WHERE seq = 4002", "position 4002 does not match"),
+        ("UPDATE trial SET success = success + 1 - 2 * (success & 1) WHERE seq = 4002", "position 4002 does not match"),
         ("UPDATE trial SET digest = x'00' WHERE seq = 4002", "position 4002 does not match"),
         ("UPDATE trial SET kind = 9 WHERE seq = 4003", "damaged"),
         ("UPDATE trial SET id = x'00' WHERE seq = 4003", "damaged"),

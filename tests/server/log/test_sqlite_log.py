@@ -48,13 +48,14 @@ def trials_of(log: SqliteLog) -> list[LoggedTrial]:
 
 def test_a_trial_comes_back_bit_for_bit(log: SqliteLog) -> None:
     given = trial(1, worker="ada", model_version=3, info={"reason": "hit", "nested": [1, {"a": b"b"}]})
-    bare = trial(2, cost=None, kind="failed")
-    [stored] = log.append_reports([PendingReport("reach", (given, bare))])
+    bare, lucky = trial(2, cost=None, kind="failed"), trial(3, learn=False)
+    [stored] = log.append_reports([PendingReport("reach", (given, bare, lucky))])
     assert isinstance(stored, Stored)
-    assert stored.seqs == (2, 3)
-    first, second = trials_of(log)
-    for read, reported in ((first.trial, given), (second.trial, bare)):
+    assert stored.seqs == (2, 3, 4)
+    first, second, third = trials_of(log)
+    for read, reported in ((first.trial, given), (second.trial, bare), (third.trial, lucky)):
         assert read.digest() == reported.digest()
+        assert (read.success, read.learn) == (reported.success, reported.learn)
         assert (read.id, read.worker, read.model_version, read.info) == (
             reported.id,
             reported.worker,
@@ -289,7 +290,7 @@ def test_a_log_of_the_first_schema_is_read_and_goes_on_in_the_present_one(databa
         sizes = connection.execute("SELECT length(digest), count(*) FROM trial GROUP BY 1 ORDER BY 1").fetchall()
         version = connection.execute("PRAGMA user_version").fetchone()
     connection.close()
-    assert (sizes, version) == ([(16, 299), (24, 2)], (2,))  # what is new or changed is sealed
+    assert (sizes, version) == ([(16, 299), (24, 2)], (3,))  # what is new or changed is sealed
 
 
 def test_the_cache_may_be_dropped_or_damaged(database: Path) -> None:

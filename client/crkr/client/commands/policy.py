@@ -63,6 +63,10 @@ def report(
         typer.Option("--cost", help="In [0, 1]; omitted for kind failed, and where the task learns from labels."),
     ] = None,
     kind: Annotated[str, typer.Option("--kind", help="trial, demonstration, evaluation or failed.")] = "trial",
+    learn: Annotated[
+        bool | None,
+        typer.Option("--learn/--ignore", help="Whether goals may be learned from it; the task decides unless given."),
+    ] = None,
     outcome: Annotated[str | None, typer.Option("--outcome", help="Measured numbers; nan means not observed.")] = None,
     trial_id: Annotated[
         str | None, typer.Option("--id", metavar="UUID", help="The trial's id, from `crkr predict`.")
@@ -94,6 +98,7 @@ def report(
             id=identifier,
             outcome=measured,
             worker=worker,
+            learn=learn,
             wait=wait,
         )
     if as_json:

@@ -26,6 +26,7 @@ _OPTIONAL: Final[Mapping[str, ColumnType]] = {
     "worker": "text",
     "model_version": "int",
     "removed": "flag",
+    "learn": "int",  # 1, 0, or empty where the task decides
     "info": "text",
 }
 _NUMBER: Final = re.compile(
@@ -109,6 +110,7 @@ class Layout:
             "worker": [trial.worker for trial in trials],
             "model_version": [trial.model_version for trial in trials],
             "removed": [one.removed for one in stored],
+            "learn": [None if trial.learn is None else int(trial.learn) for trial in trials],
             "info": [info_to_json(trial.info) if trial.info else None for trial in trials],
         }
 
@@ -166,6 +168,7 @@ class Layout:
             worker=cells["worker"],
             model_version=cells["model_version"],
             info=info,
+            learn=_cell("learn", "flag", cells["learn"]),
         )
 
 

@@ -161,7 +161,8 @@ def _execute_trial(
     kind = "trial" if result.executed else "failed"
     success = result.success and result.executed
     digest(np.array([*answer.states, *answer.goals, np.nan if result.cost is None else result.cost]).tobytes())
-    learner.report(answer, cost=result.cost, success=success, kind=kind, outcome=result.outcome)
+    learn = result.learn if result.executed else None
+    learner.report(answer, cost=result.cost, success=success, kind=kind, outcome=result.outcome, learn=learn)
     return str(result.info.get("reason", "success" if success else "failure"))
 
 

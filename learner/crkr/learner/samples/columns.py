@@ -27,7 +27,7 @@ class TrialColumns:
         goals: (n, p) [units of the goal].
         costs: (n,) as reported, NaN where there is none.
         kinds: (n,) positions in `KINDS`.
-        success: (n,) flags.
+        flags: (n,) `success` and `learn`, as `Trial.flags` gives them.
         outcomes: (n, q) as reported, NaN where not observed; None will do for a task that does not learn from them.
 
     Raises:
@@ -41,11 +41,11 @@ class TrialColumns:
     goals: Array
     costs: Array
     kinds: NDArray[np.uint8]
-    success: NDArray[np.bool_]
+    flags: NDArray[np.uint8]
     outcomes: Array | None = None
 
     def __post_init__(self) -> None:
-        lengths: list[float] = [len(one) for one in (self.states, self.goals, self.costs, self.kinds, self.success)]
+        lengths: list[float] = [len(one) for one in (self.states, self.goals, self.costs, self.kinds, self.flags)]
         lengths += [] if self.outcomes is None else [len(self.outcomes)]
         lengths += [len(self.ids) / 16, len(self.digests) / 16]
         if any(length != len(self.seqs) for length in lengths):

@@ -14,6 +14,7 @@ from crkr.learner.samples.growable_array import Growable
 from crkr.learner.samples.id_index import IdIndex, id_words
 from crkr.learner.selection.anms_batch import Indices
 from crkr.protocol import KINDS, Array, Conflict, Invalid, Trial
+from crkr.protocol.trial import may_learn, success_and_learn
 
 __all__ = ["SampleStore"]
 
@@ -21,6 +22,11 @@ _TRIAL: Final = KINDS.index("trial")
 _DEMONSTRATION: Final = KINDS.index("demonstration")
 _EVALUATION: Final = KINDS.index("evaluation")
 _FAILED: Final = KINDS.index("failed")
+# For each value of `Trial.flags`, whether a trial of kind "trial" may be learned from.
+_MAY_LEARN: Final = {
+    learn_from: np.array([may_learn(*success_and_learn(flags), learn_from) for flags in range(8)])
+    for learn_from in ("successes", "all")
+}
 
 
 @final
@@ -42,7 +48,7 @@ class SampleStore:
         self._outcomes = Growable(np.float64, (outcomes,))
         self._costs = Growable(np.float64)
         self._kinds = Growable(np.uint8)
-        self._success = Growable(np.bool_)
+        self._flags = Growable(np.uint8)
         self._removed = Growable(np.bool_)
         self._keeps_outcomes = outcomes > 0
         self._index = IdIndex()
@@ -92,7 +98,7 @@ class SampleStore:
             self._outcomes.append(np.nan if trial.outcome is None else trial.outcome)
         self._costs.append(np.nan if trial.cost is None else trial.cost)
         self._kinds.append(KINDS.index(trial.kind))
-        self._success.append(trial.success)
+        self._flags.append(trial.flags)
         self._removed.append(False)
         self._index.add(row, self._ids.rows)
         return row
@@ -115,7 +121,7 @@ class SampleStore:
             (self._goals, columns.goals),
             (self._costs, columns.costs),
             (self._kinds, columns.kinds),
-            (self._success, columns.success),
+            (self._flags, columns.flags),
             (self._removed, np.zeros(len(columns), dtype=np.bool_)),
         ):
             column.extend(values)
@@ -158,11 +164,9 @@ class SampleStore:
         return [UUID(bytes=stream[start : start + 16]) for start in range(0, len(stream), 16)]
 
     def eligible(self, rows: Indices, learn_from: str) -> NDArray[np.bool_]:
-        """Which of these rows may be learned from: demonstrations, and successes or all executed trials."""
-        kinds = self._kinds.rows[rows]
-        tried = kinds == _TRIAL
-        if learn_from == "successes":
-            tried &= self._success.rows[rows]
+        """Which of these rows may be learned from: demonstrations, and the trials that say so or `learn_from` names."""
+        kinds, flags = self._kinds.rows[rows], self._flags.rows[rows]
+        tried = (kinds == _TRIAL) & _MAY_LEARN[learn_from][flags]
         eligible: NDArray[np.bool_] = (tried | (kinds == _DEMONSTRATION)) & ~self._removed.rows[rows]
         return eligible
 
@@ -179,8 +183,7 @@ class SampleStore:
 
     def successes(self, rows: Indices) -> NDArray[np.bool_]:
         """Which of these rows did what was wanted."""
-        success: NDArray[np.bool_] = self._success.rows[rows]
-        return success
+        return (self._flags.rows[rows] & 1).astype(np.bool_)
 
     def newest_tried(self, count: int) -> Indices:
         """Rows of the newest trials, executed or refused, that are not removed; at most `count`, ascending."""

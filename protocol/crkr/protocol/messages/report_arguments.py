@@ -29,13 +29,14 @@ class TrialFields(_Told, total=False):
         state: (d,) or (b, d); may be absent where an answer of `predict` is given, and so may `goal`.
         goal: (p,) or (b, p) executed, within the bounds; overrides the answer's goals.
         cost: In [0, 1], one or b; None or absent for kind "failed", and where the task's cost is a "label".
-        success: One flag, or b.
+        success: Whether it did what was wanted: one flag, or b.
         kind: "trial", "demonstration", "evaluation" or "failed", for all of them; "trial" unless given.
         id: One id, or b; the answer's, or new ones, unless given.
         outcome: (q,) or (b, q) measured, NaN where not observed.
         worker: Name of the reporting process.
         model_version: The model that proposed the goals; the answer's unless given.
         info: Plain data to keep: one map for all, or b of them.
+        learn: Whether the regression may learn from it: one flag, or b; the task's `learn_from` decides unless given.
     """
 
     state: object
@@ -47,6 +48,7 @@ class TrialFields(_Told, total=False):
     worker: str | None
     model_version: int | None
     info: Mapping[str, Any] | Sequence[Mapping[str, Any]] | None
+    learn: object
 
 
 def make_trials(spec: TaskSpec, answer: Prediction | None = None, **fields: Unpack[TrialFields]) -> tuple[Trial, ...]:
@@ -80,7 +82,7 @@ def make_trials(spec: TaskSpec, answer: Prediction | None = None, **fields: Unpa
         outcomes = finite_array(outcome, "outcome", (*leading, len(spec.outcome)), allow_nan=True).reshape(count, -1)
     each_id = [uuid4() for _ in range(count)] if ids is None else _one_each(ids, "id", count)
     costs, successes = _one_each(fields.get("cost"), "cost", count), _one_each(fields["success"], "success", count)
-    infos = _one_each(fields.get("info"), "info", count)
+    infos, learn = _one_each(fields.get("info"), "info", count), _one_each(fields.get("learn"), "learn", count)
     return tuple(
         Trial.create(
             spec,
@@ -94,6 +96,7 @@ def make_trials(spec: TaskSpec, answer: Prediction | None = None, **fields: Unpa
             worker=fields.get("worker"),
             model_version=model_version,
             info=infos[i],
+            learn=learn[i],
         )
         for i in range(count)
     )

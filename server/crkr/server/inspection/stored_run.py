@@ -107,6 +107,4 @@ class StoredRun:
             ) from error
 
     def _is_eligible(self, stored: StoredTrial) -> bool:
-        trial = stored.trial
-        tried = trial.kind == "trial" and (trial.success or self.spec.learn_from == "all")
-        return not stored.removed and (tried or trial.kind == "demonstration")
+        return not stored.removed and stored.trial.eligible(self.spec.learn_from)

@@ -123,8 +123,7 @@ def _compare_selection(learner: Learner, trials: dict[bytes, _Kept], spec: TaskS
 
 
 def _eligible(kept: _Kept, learn_from: str) -> bool:
-    tried = kept.trial.kind == "trial" and (kept.trial.success or learn_from == "all")
-    return not kept.removed and (tried or kept.trial.kind == "demonstration")
+    return not kept.removed and kept.trial.eligible(learn_from)
 
 
 def _compare_rows(log: LogReader, name: str, trials: dict[bytes, _Kept]) -> list[str]:

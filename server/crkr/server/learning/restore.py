@@ -144,7 +144,7 @@ def _columns(entries: list[LoggedTrial], measured: int) -> TrialColumns:
         goals=np.array([trial.goal for trial in trials]),
         costs=np.array([trial.cost for trial in trials], dtype=np.float64),  # None becomes NaN
         kinds=np.array([KINDS.index(trial.kind) for trial in trials], dtype=np.uint8),
-        success=np.array([trial.success for trial in trials], dtype=np.bool_),
+        flags=np.array([trial.flags for trial in trials], dtype=np.uint8),
         outcomes=np.array([absent if trial.outcome is None else trial.outcome for trial in trials]),
     )
 

@@ -49,7 +49,7 @@ def columns_of(rows: Sequence[tuple[Any, ...]], dimensions: int, outputs: int, m
             goals=np.frombuffer(b"".join(goals), "<f8").reshape(-1, outputs),
             costs=numbers,
             kinds=np.array(kinds, dtype=np.uint8),
-            success=np.array(success, dtype=np.bool_),
+            flags=np.array(success, dtype=np.uint8),
             outcomes=_outcomes(outcomes, measured) if measured else None,
         )
     except StorageError:

@@ -1,7 +1,8 @@
 """Trials as database rows and back, with digests that prove a row is what was stored.
 
-A trial's `digest` column holds two things: 16 bytes over its content, by which a report of the same trial is known, and
-8 more, its seal, over those and over all else that stands in the row. Rows of the first schema have no seal.
+A trial's `success` column holds its `flags`. Its `digest` column holds two things: 16 bytes over its content, by which
+a report of the same trial is known, and 8 more, its seal, over those and over all else that stands in the row. Rows of
+the first schema have no seal.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from uuid import UUID
 import numpy as np
 
 from crkr.protocol import KINDS, CrkrError, StorageError, Trial, pack, unpack
+from crkr.protocol.trial import success_and_learn
 from crkr.server.log.entries import LoggedTrial
 
 __all__ = [
@@ -45,7 +47,7 @@ def trial_row(task: int, seq: int, time: float, trial: Trial, digest: bytes) -> 
         time,
         trial.id.bytes,
         KINDS.index(trial.kind),
-        trial.success,
+        trial.flags,
         trial.cost,
         trial.state.astype("<f8").tobytes(),
         trial.goal.astype("<f8").tobytes(),
@@ -66,17 +68,19 @@ def trial_of(row: tuple[Any, ...]) -> LoggedTrial:
     check_row(row)
     seq, time, identity, kind, success, cost, state, goal, outcome, worker, model_version, info, *_ = row
     try:
+        done, learn = success_and_learn(success)
         trial = Trial(
             id=UUID(bytes=identity),
             state=np.frombuffer(state, "<f8"),
             goal=np.frombuffer(goal, "<f8"),
             cost=cost,
-            success=bool(success),
+            success=done,
             kind=KINDS[kind],
             outcome=None if outcome is None else np.frombuffer(outcome, "<f8"),
             worker=worker,
             model_version=model_version,
             info=unpack(info, depth=None) if info else {},
+            learn=learn,
         )
     except (ValueError, TypeError, IndexError, CrkrError) as error:
         raise StorageError(f"the trial at log position {seq} is damaged: {error}; restore a backup") from error
@@ -91,12 +95,13 @@ def wire_of(row: tuple[Any, ...]) -> dict[str, Any]:
     """
     check_row(row)
     seq, time, identity, kind, success, cost, state, goal, outcome, worker, model_version, info, _, present, gone = row
+    done, learn = success_and_learn(success)
     entry: dict[str, Any] = {
         "id": identity,
         "state": _vector(state),
         "goal": _vector(goal),
         "cost": cost if present is None else present,
-        "success": bool(success),
+        "success": done,
         "kind": KINDS[kind],
         "seq": seq,
         "time": time,
@@ -107,6 +112,8 @@ def wire_of(row: tuple[Any, ...]) -> dict[str, Any]:
         entry["worker"] = worker
     if model_version is not None:
         entry["model_version"] = model_version
+    if learn is not None:
+        entry["learn"] = learn
     if info:
         entry["info"] = unpack(info, depth=None)
     if gone:

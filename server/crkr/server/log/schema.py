@@ -24,7 +24,8 @@ __all__ = [
 ]
 
 FILE_NAME: Final = "crkr.sqlite3"
-SCHEMA_VERSION: Final = 2  # since which a digest covers the whole row; rows of the first version are read as they are
+# 2: a digest covers the whole row; rows of the first version are read as they are. 3: `success` holds `learn` too.
+SCHEMA_VERSION: Final = 3
 APPLICATION_ID: Final = 0x63726B72  # "crkr"; `file` and SQLite tools show it
 BUSY_TIMEOUT_S: Final = 5.0
 

@@ -91,8 +91,7 @@ class RunHistory:
             return
         if trial.kind != "demonstration":
             self._times.append(stored.time)
-        learned = trial.success or self._spec.learn_from == "all"
-        if trial.kind == "demonstration" or (trial.kind == "trial" and learned):
+        if trial.eligible(self._spec.learn_from):
             self.eligible += 1
             if self.eligible == self._spec.budget:
                 self.filled_at = self.trained

@@ -55,6 +55,7 @@ def tried(task: Task, answer: Prediction, result: TrialResult, worker: str) -> T
         worker=worker,
         model_version=answer.model_version,
         info=result.info,
+        learn=result.learn if result.executed else None,
     )
 
 

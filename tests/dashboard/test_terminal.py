@@ -19,6 +19,7 @@ STATUS = {
     "active": 17,
     "eligible": 40,
     "seq": 9,
+    "advice": [{"code": "no_success", "message": "no success in 200 trials"}, "odd"],
     "workers": [{"id": "crane-1", "state": "alive", "open_trials": 1, "last_seen_s": 40.0}, "odd"],
     "latency_us": {"predict": {"p50": 250.0, "p99": 1500.0, "count": 3}, "odd": 4},
 }
@@ -64,6 +65,7 @@ def test_a_terminal_shows_curve_reasons_workers_and_latency(run: list[Update]) -
         "alive",
         "1.50 ms",
         "17 of 40",
+        "advice: no success in 200 trials",
     ):
         assert expected in text
 

@@ -8,7 +8,7 @@ from typing import Any, Final, final
 
 from crkr.dashboard.progress import Progress
 
-__all__ = ["WorkerFacts", "latency_ms", "percent", "reason_rows", "speed", "worker_rows"]
+__all__ = ["WorkerFacts", "advice_lines", "drift_score", "latency_ms", "percent", "reason_rows", "speed", "worker_rows"]
 
 UNKNOWN: Final = "unknown"
 
@@ -65,6 +65,20 @@ def reason_rows(progress: Progress) -> list[tuple[str, int, float, float]]:
     total = max(sum(progress.reasons.values()), 1)
     rows = [(reason, count, count / total, progress.window.share(reason)) for reason, count in progress.reasons.items()]
     return sorted(rows, key=lambda row: (-row[3], -row[1], row[0]))
+
+
+def advice_lines(status: Mapping[str, Any]) -> list[str]:
+    """What limits learning, by the server's rules."""
+    listed = status.get("advice")
+    entries = listed if isinstance(listed, list) else []
+    return [str(one["message"]) for one in entries if isinstance(one, Mapping) and "message" in one]
+
+
+def drift_score(status: Mapping[str, Any]) -> float | None:
+    """How far outcomes are from what was predicted: above 12 the robot is taken to have changed. None: not watched."""
+    drift = status.get("drift")
+    score = drift.get("score") if isinstance(drift, Mapping) else None
+    return float(score) if isinstance(score, int | float) else None
 
 
 def latency_ms(status: Mapping[str, Any]) -> dict[str, tuple[float, float]]:

@@ -16,7 +16,7 @@ from rich.table import Column, Table
 from rich.text import Text
 
 from crkr.dashboard.progress import EpochResult, Progress, Row
-from crkr.dashboard.status_facts import latency_ms, percent, reason_rows, speed, worker_rows
+from crkr.dashboard.status_facts import advice_lines, latency_ms, percent, reason_rows, speed, worker_rows
 from crkr.dashboard.telemetry import Telemetry
 from crkr.protocol import printable
 
@@ -135,8 +135,9 @@ class TerminalDisplay:
         tables = [self._success(progress), self._reasons(progress), self._workers(progress, now), self._server()]
         shown = [table for table in tables if table.row_count]
         head, about = _text(self._line(progress), "bold"), _text(self._description, "dim")
+        advice = [_text(f"advice: {line}", "yellow") for line in advice_lines(self._status)]
         return Panel(
-            Group(head, about, Text(), Columns(shown, padding=(0, 3)), *map(_text, self._messages)),
+            Group(head, about, *advice, Text(), Columns(shown, padding=(0, 3)), *map(_text, self._messages)),
             title=_text(f"crkr watch {self._task}"),
             title_align="left",
         )

@@ -6,6 +6,7 @@ brackets in the docstrings are those of docs/references.md.
 
 from __future__ import annotations
 
+from crkr.learner.advice import Advice, advise
 from crkr.learner.cost import saturated_cost
 from crkr.learner.evidence import FitProblem, FitResult, fit, log_evidence
 from crkr.learner.exploration.draws import draw_ids, uniforms
@@ -29,6 +30,7 @@ from crkr.learner.selection.selector import Radii, Selector, SelectorFactory, St
 
 __all__ = [
     "SELECTORS",
+    "Advice",
     "Anms",
     "Choice",
     "Explorer",
@@ -49,6 +51,7 @@ __all__ = [
     "SelectorFactory",
     "Standing",
     "TrialColumns",
+    "advise",
     "check_fit",
     "draw_ids",
     "fit",

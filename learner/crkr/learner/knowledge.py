@@ -272,10 +272,11 @@ class Knowledge:
         """What the newest trials say of success; nothing where outcomes say more."""
         if self._guided is not None:
             return None
-        rows = self.store.newest_tried(MOST_RECENT)
+        history = self.store.history()
+        rows = history.newest_tried(MOST_RECENT)
         if not len(rows):
             return None
-        return SuccessRate(self._kernel.standardise(self.store.states[rows]), self.store.successes(rows).astype(float))
+        return SuccessRate(self._kernel.standardise(history.states[rows]), history.successes(rows).astype(float))
 
     def _prior(self) -> Array:
         rows = self.store.demonstrations()

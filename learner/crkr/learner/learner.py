@@ -9,6 +9,7 @@ from uuid import UUID
 
 import numpy as np
 
+from crkr.learner.advice import Advice, advise
 from crkr.learner.evidence import FitProblem, FitResult, fit
 from crkr.learner.explanation import explain
 from crkr.learner.exploration.draws import draw_ids
@@ -16,6 +17,7 @@ from crkr.learner.exploration.outcome_learner import Drift
 from crkr.learner.knowledge import Knowledge
 from crkr.learner.model import Model
 from crkr.learner.samples.columns import TrialColumns
+from crkr.learner.samples.history import TrialHistory
 from crkr.learner.samples.report_review import Review, review
 from crkr.learner.selection.anms import Anms
 from crkr.learner.selection.eligible_rows import RadiiCache
@@ -87,6 +89,16 @@ class Learner:
     def active_ids(self) -> list[UUID]:
         """Ids of the active samples, in the order of the log."""
         return list(self.model.ids)
+
+    @property
+    def history(self) -> TrialHistory:
+        """All trials of this moment, which other threads may read."""
+        return self._told.store.history()
+
+    @property
+    def advice(self) -> list[Advice]:
+        """What limits learning, and what to do about it; [] where nothing does."""
+        return advise(self.spec, self.history, self.drift, self.eligible, self.model.active)
 
     @property
     def counts(self) -> dict[str, int]:

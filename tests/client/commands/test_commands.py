@@ -189,6 +189,8 @@ def test_the_status_is_shown_by_verb_and_probed_by_exit_code(run: Run, task: str
     assert data(run("status", task, "--json"))["samples"]["demonstration"] == 1
     shown = run("status", task).stdout
     assert "samples.demonstration" in shown
+    assert [line.split()[0] for line in shown.splitlines()[:2]] == ["task", "success"]
+    assert "no trial yet" in shown
     assert "no workers seen" in shown
     assert "protocol" in run("status").stdout
     assert run("status", "--check").stdout == ""
@@ -199,6 +201,23 @@ def test_the_status_is_shown_by_verb_and_probed_by_exit_code(run: Run, task: str
     result = CliRunner().invoke(build(words), words)
     assert result.exit_code == 1
     assert result.output == ""
+
+
+def test_the_status_of_a_task_says_first_how_well_it_learns_and_what_limits_it(
+    run: Run, task: str, shared_endpoint: str
+) -> None:
+    rng = np.random.default_rng(2)
+    with Client(shared_endpoint) as client:
+        for won in (False, True):
+            states, goals = rng.uniform(0.1, 3.9, (200, 1)), rng.uniform([1, -0.5], [7, 0.5], (200, 2))
+            success = [won and number % 2 > 0 for number in range(200)]
+            client.task(task).report(state=states, goal=goals, cost=np.full(200, 0.5), success=success, wait=True)
+    first, second, third, *_ = run("status", task).stdout.splitlines()[:3]
+    assert first.startswith("task")
+    assert "50% (43% to 57%) of the newest 200 trials, up from 0% in the 200 before" in second
+    assert third.startswith("advice")
+    assert "declare an outcome" in third
+    assert data(run("status", task, "--json"))["advice"][0]["code"] == "no_outcome"
 
 
 def test_a_task_is_managed(run: Run, task: str) -> None:

@@ -34,14 +34,19 @@ def test_a_restart_of_the_outcome_model_is_told_and_survives_the_server(
             off = 0.3 * state + J @ (answer.goal + shift)
             won = bool((np.abs(off) < 0.05).all())
             task.report(answer, cost=0.1, success=won, outcome=off, wait=True)
-        drift = task.status()["drift"]
+        status = task.status()
+        drift, success = status["drift"], status["success"]
         assert drift["restarts"] == 1
+        assert [advice["code"] for advice in status["advice"]] == ["drifted"]
+        assert success["trials"] == 90
         before = [task.predict(probes, explore=explore, trial_ids=ids) for explore in (False, True)]
     server.process.kill()
     server.process.wait()
     with Client(start_server(data=tmp_path / "data").endpoint) as client:
         task = client.task("changing")
-        assert {**task.status()["drift"], "score": None} == {**drift, "score": None}
+        again = task.status()
+        assert {**again["drift"], "score": None} == {**drift, "score": None}
+        assert (again["advice"], again["success"]) == (status["advice"], success)
         for explore, earlier in zip((False, True), before, strict=True):
             now = task.predict(probes, explore=explore, trial_ids=ids)
             for name in ("goals", "predicted_outcome", "predicted_outcome_sd", "success_probability"):

@@ -145,11 +145,10 @@ def test_the_selector_that_keeps_everything_says_where_it_stops(ask: Ask, reach:
         ask("task/other-everything/rpc/report", {"trials": trials, "wait": first + 775 == 3100})
     status = ask("task/other-everything/rpc/status")
     assert (status["active"], status["eligible"]) == (3000, 3100)
-    [advice] = status["advice"]
-    assert advice["code"] == "full"
-    assert "3000" in advice["message"]
+    [message] = [advice["message"] for advice in status["advice"] if advice["code"] == "full"]
+    assert "3000" in message
     ask("task/other-everything/admin/remove", {"ids": ids[:150]})
-    assert "advice" not in ask("task/other-everything/rpc/status")
+    assert "full" not in [advice["code"] for advice in ask("task/other-everything/rpc/status").get("advice", [])]
 
 
 def test_what_waits_is_counted_for_each_task(learning: Learning) -> None:

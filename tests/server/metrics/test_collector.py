@@ -91,6 +91,14 @@ def test_the_numbers_agree_with_what_the_server_answers(
     assert value(found, "crkr_task_model_version", task="reach") == status["model_version"] == COUNT + 3
     assert value(found, "crkr_task_model_lag", task="reach") == 0
     assert value(found, "crkr_task_faulty", task="reach") == 0
+    assert value(found, "crkr_task_success_ratio", task="reach") == status["success"]["rate"]
+    drift = status.get("drift", {"score": 0.0, "restarts": 0})
+    for name in ("score", "restarts"):
+        assert value(found, f"crkr_task_drift_{name}", task="reach") == drift[name]
+    advice = {dict(labels)["code"]: value for (name, labels), value in found.items() if name == "crkr_task_advice"}
+    assert {"no_success", "drifted"} <= advice.keys()
+    limits = {code for code, is_told in advice.items() if is_told}
+    assert limits == {advice["code"] for advice in status.get("advice", [])}
     states = [worker["state"] for worker in status["workers"]]
     for state in ("alive", "left", "lost", "unannounced"):
         assert value(found, "crkr_task_workers", task="reach", state=state) == states.count(state)

@@ -11,11 +11,13 @@ import typer
 from crkr.client import Client
 from crkr.client.cli.console import print_json, print_table, stdout
 from crkr.client.cli.options import Connect, Json, Timeout, ZenohConfig
+from crkr.client.tally import wilson_interval
 from crkr.protocol import CrkrError
 
 __all__ = ["named_tasks", "status"]
 
 _MOST_NAMED = 20  # tasks
+_LEVEL = 0.05  # change of the success rate that is called none
 
 
 def status(
@@ -74,14 +76,46 @@ def named_tasks(info: Mapping[str, Any]) -> str:
 
 def _show_task(answer: Mapping[str, Any]) -> None:
     known = ("samples", "eligible", "active", "seq", "model_version", "hyperparameters", "archived")
-    rows = [row for name in known if name in answer for row in _rows(name, answer[name])]
+    rows = _learning(answer)
+    rows += [row for name in known if name in answer for row in _rows(name, answer[name])]
     if "uptime" in answer:
         rows.append(("server up for", _duration(float(answer["uptime"]))))
     rows += [(name, str(answer[name])) for name in ("fault", "damage") if answer.get(name)]
-    rows += [("advice", str(one.get("message", one))) for one in answer.get("advice") or []]
     print_table(("task", str(answer.get("task", ""))), rows + _threads(answer))
     _show_verbs(answer.get("latency_us") or {}, answer.get("queues") or {})
     _show_workers(answer.get("workers") or [], answer.get("more_workers") or 0)
+
+
+def _learning(answer: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """How well it goes, whether that changes, and what limits it."""
+    success, drift = answer.get("success"), answer.get("drift")
+    rows = []
+    if isinstance(success, Mapping):
+        rows.append(("success", _trend(success)))
+        if success.get("evaluated"):
+            rate, count = float(success["evaluation_rate"]), int(success["evaluated"])
+            rows.append(("evaluation", f"{_share(rate, count)} of the newest {count} evaluation trials"))
+    rows += [("advice", str(one.get("message", one))) for one in answer.get("advice") or []]
+    if isinstance(drift, Mapping) and drift.get("restarts"):
+        rows.append(("drift", f"{drift['restarts']} restarts of the outcome model, last at {drift.get('last_seq')}"))
+    return rows
+
+
+def _trend(success: Mapping[str, Any]) -> str:
+    count, rate, before = int(success.get("trials") or 0), success.get("rate"), success.get("before")
+    if not count or rate is None:
+        return "no trial yet"
+    text = f"{_share(float(rate), count)} of the newest {count} trials"
+    if before is None:
+        return text
+    change = float(rate) - float(before)
+    word = "level with" if abs(change) < _LEVEL else "up from" if change > 0 else "down from"
+    return f"{text}, {word} {float(before):.0%} in the {count} before"
+
+
+def _share(rate: float, count: int) -> str:
+    low, high = wilson_interval(round(rate * count), count)
+    return f"{rate:.0%} ({low:.0%} to {high:.0%})"
 
 
 def ended_threads(answer: Mapping[str, Any]) -> list[str]:

@@ -65,7 +65,7 @@ def _live() -> rrb.Vertical:
             rrb.Tabs(_document("status", "Status"), _log(), active_tab=0),
             _document("outcomes", "Outcomes"),
             _exploration(),
-            rrb.Tabs(_learner(), _latency(), active_tab=0),
+            rrb.Tabs(_learner(), _drift(), _latency(), active_tab=0),
             column_shares=[1.1, 0.8, 1, 1],
         ),
         row_shares=[1.75, 1],
@@ -130,6 +130,10 @@ def _exploration() -> rrb.TimeSeriesView:
 
 def _learner() -> rrb.TimeSeriesView:
     return _series("Active set and samples", "+ /learner/**")
+
+
+def _drift() -> rrb.TimeSeriesView:
+    return _series("Drift: above 12 the robot has changed", "+ /drift/**")
 
 
 def _latency() -> rrb.TimeSeriesView:

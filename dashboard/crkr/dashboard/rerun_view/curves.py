@@ -13,7 +13,7 @@ import rerun as rr
 from crkr.dashboard.progress import WINDOW, EpochResult, Progress, Row
 from crkr.dashboard.rerun_view.blueprint import CRITERIA, FAILURE, LINES, MEAN, NEUTRAL, SUCCESS, shade
 from crkr.dashboard.rerun_view.recording import NameLimit, Recording
-from crkr.dashboard.status_facts import latency_ms
+from crkr.dashboard.status_facts import drift_score, latency_ms
 from crkr.dashboard.telemetry import Telemetry
 
 __all__ = ["Curves"]
@@ -109,6 +109,9 @@ class Curves:
             if isinstance(value, int | float):
                 style = partial(rr.SeriesLines, colors=colour, names=name, widths=2.0)
                 self._append(("learner", name), progress.trials, progress.epoch, float(value), style)
+        if (score := drift_score(status)) is not None:
+            style = partial(rr.SeriesLines, colors=LINES[4], names="drift: restart above 12", widths=2.0)
+            self._append(("drift", "score"), progress.trials, progress.epoch, score, style)
         served = latency_ms(status)
         for verb, colour in (("predict", LINES[4]), ("report", LINES[5])):
             if verb in served:

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 from crkr.dashboard.progress import WINDOW, Progress
-from crkr.dashboard.status_facts import latency_ms, percent, reason_rows, worker_rows
+from crkr.dashboard.status_facts import advice_lines, latency_ms, percent, reason_rows, worker_rows
 from crkr.protocol import printable
 
 __all__ = ["guide_page", "outcomes_page", "status_page"]
@@ -48,6 +48,8 @@ def status_page(
     if newest is not None:
         rates = ", ".join(f"{_plain(name)} **{percent(rate)}**" for name, rate in newest.tally.rates().items())
         lines += [f"Evaluation {newest.epoch} ({newest.balls} trials): {rates}", ""]
+    for advice in advice_lines(status):
+        lines += [f"**Advice**: {_plain(advice)}", ""]
     lines += [
         f"Active set **{_number(status.get('active'))}** of {_number(status.get('eligible'))} eligible samples; "
         f"{kinds['demonstration']} demonstrations, {kinds['evaluation']} evaluation trials, {kinds['failed']} failed",

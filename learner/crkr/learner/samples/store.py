@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from crkr.learner.samples.columns import TrialColumns
 from crkr.learner.samples.growable_array import Growable
+from crkr.learner.samples.history import TrialHistory
 from crkr.learner.samples.id_index import IdIndex, id_words
 from crkr.learner.selection.anms_batch import Indices
 from crkr.protocol import KINDS, Array, Conflict, Invalid, Trial
@@ -185,17 +186,18 @@ class SampleStore:
         """Which of these rows did what was wanted."""
         return (self._flags.rows[rows] & 1).astype(np.bool_)
 
-    def newest_tried(self, count: int) -> Indices:
-        """Rows of the newest trials, executed or refused, that are not removed; at most `count`, ascending."""
-        found: list[Indices] = []
-        missing, end = count, len(self)
-        while missing > 0 and end > 0:
-            rows = np.arange(max(0, end - 2 * count), end)
-            kinds = self._kinds.rows[rows]
-            rows = rows[((kinds == _TRIAL) | (kinds == _FAILED)) & ~self._removed.rows[rows]]
-            found.insert(0, rows[-missing:])
-            missing, end = missing - len(rows), end - 2 * count
-        return np.concatenate(found) if found else np.zeros(0, dtype=np.int64)
+    def history(self) -> TrialHistory:
+        """All trials of this moment, as views; later changes of costs show in it, later trials do not."""
+        return TrialHistory(
+            self._seqs.rows,
+            self._states.rows,
+            self._goals.rows,
+            self._outcomes.rows if self._keeps_outcomes else np.empty((len(self), 0)),
+            self._costs.rows,
+            self._kinds.rows,
+            self._flags.rows,
+            self._removed.rows,
+        )
 
     def count_tried(self, rows: Indices) -> int:
         """How many of these rows are trials, executed or refused."""

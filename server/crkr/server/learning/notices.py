@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from typing import final
+from typing import Any, final
 from uuid import UUID
 
 import zenoh
@@ -34,7 +34,9 @@ class Notices:
     def __call__(self, task: ServedTask, before: Model, after: Model) -> None:
         """Publish the ids that entered and left the active set."""
         added, evicted = ([], []) if after.ids is before.ids else _exchanged(before.ids, after.ids)
-        notice = {"version": after.version, "active": after.active, "added": added, "evicted": evicted}
+        notice: dict[str, Any] = {"version": after.version, "active": after.active, "added": added, "evicted": evicted}
+        if task.drift is not None:
+            notice["drift"] = {"restarts": task.drift.restarts, "score": task.drift.score}
         try:
             self._session.put(
                 pub_key(task.name, "model"),

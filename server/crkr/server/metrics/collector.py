@@ -18,6 +18,7 @@ from prometheus_client.core import (
 )
 from prometheus_client.registry import Collector
 
+from crkr.learner.advice import ADVICE_CODES
 from crkr.protocol import KINDS, PROTOCOL_VERSION
 from crkr.server.learning.tasks import ServedTask
 from crkr.server.metrics.durations import BOUNDS_S, Durations
@@ -36,6 +37,9 @@ _OF_A_TASK: Final = {
     "crkr_task_model_lag": "Log positions that the model has yet to apply.",
     "crkr_task_archived": "1 if the task answers reads only.",
     "crkr_task_faulty": "1 if the task could not be restored, or learns no more until a restart; see the server's log.",
+    "crkr_task_success_ratio": "Share of the newest 200 trials that succeeded; NaN without any.",
+    "crkr_task_drift_score": "How far outcomes are from what was predicted: above 12 the outcome model starts anew.",
+    "crkr_task_drift_restarts": "Restarts of the outcome model, as the robot had changed.",
     "crkr_task_damaged": "1 if a stored row is not what was stored; see the server's log.",
 }
 
@@ -99,12 +103,18 @@ class MetricsCollector(Collector):
     def _tasks(self) -> Iterator[Metric]:
         samples = GaugeMetricFamily("crkr_task_samples", "Stored trials.", labels=["task", "kind"])
         single = {name: GaugeMetricFamily(name, text, labels=["task"]) for name, text in _OF_A_TASK.items()}
+        advice = GaugeMetricFamily(
+            "crkr_task_advice", "1 for what limits learning, by rule; else 0.", labels=["task", "code"]
+        )
         for task in self._sources.tasks.all():
+            told = {one.code for one in task.advice()}
+            for code in ADVICE_CODES:
+                advice.add_metric([task.name, code], code in told)
             for kind in KINDS:
                 samples.add_metric([task.name, kind], task.samples[kind])
             for metric, value in zip(single.values(), _numbers(task), strict=True):
                 metric.add_metric([task.name], value)
-        yield from (samples, *single.values())
+        yield from (samples, advice, *single.values())
 
     def _workers(self) -> Iterator[Metric]:
         workers = GaugeMetricFamily("crkr_task_workers", "Workers by state.", labels=["task", "state"])
@@ -134,7 +144,11 @@ def _numbers(task: ServedTask) -> tuple[float, ...]:
     """In the order of the table above."""
     model = task.model  # before the log position, which is only ever ahead
     lag = task.seq - model.version
-    return task.eligible, model.active, model.version, lag, task.archived, bool(task.fault), bool(task.damage)
+    rate, drift = task.history.trend().rate, task.drift
+    success = float("nan") if rate is None else rate
+    drifted = (0.0, 0) if drift is None else (drift.score, drift.restarts)
+    faulty, damaged = bool(task.fault), bool(task.damage)
+    return task.eligible, model.active, model.version, lag, task.archived, faulty, success, *drifted, damaged
 
 
 def _histogram(name: str, text: str, times: Durations) -> Metric:

@@ -16,7 +16,6 @@ from crkr.protocol import (
     MAX_MESSAGE_BYTES,
     MAX_STATES,
     MAX_TRIALS,
-    MOST_KEPT,
     PROTOCOL_VERSION,
     Invalid,
     ShuttingDown,
@@ -161,8 +160,9 @@ class Reader:
         if task.drift is not None:
             own = task.drift
             status["drift"] = {"restarts": own.restarts, "last_seq": own.last_seq, "score": own.score}
-        if advice := _advice(task):
-            status["advice"] = advice
+        status["success"] = task.history.trend()._asdict()
+        if advice := task.advice():
+            status["advice"] = [one._asdict() for one in advice]
         if threads := FAULTS.summary():
             status["threads"] = threads
         request.reply(status)
@@ -213,17 +213,6 @@ class Reader:
             raise busy(request.verb)
         request.held = True
         self._learning.submit(task, (), answer)  # only the learner knows where one sample stands
-
-
-def _advice(task: ServedTask) -> list[dict[str, str]]:
-    """Advice for the task's owner, though nothing is faulty."""
-    if task.spec.selector == "full" and task.eligible > task.model.active >= MOST_KEPT:
-        message = (
-            f'selector "full" learns from the first {MOST_KEPT} of {task.eligible} trials; the others are stored. '
-            'Import them into a task with selector "anms" to learn from all'
-        )
-        return [{"code": "full", "message": message}]
-    return []
 
 
 def _span(message: Mapping[str, Any], low: int = 1) -> tuple[int, int]:

@@ -1,0 +1,94 @@
+"""The newest trials at one moment, looked through only when somebody asks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, NamedTuple, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from crkr.learner.selection.anms_batch import Indices
+from crkr.protocol import KINDS, Array
+
+__all__ = ["WINDOW", "SuccessTrend", "TrialHistory"]
+
+WINDOW: Final = 200  # trials that "newest" means
+_TRIAL, _FAILED, _EVALUATION = (KINDS.index(kind) for kind in ("trial", "failed", "evaluation"))
+
+
+class SuccessTrend(NamedTuple):
+    """How often trials succeeded lately.
+
+    Attributes:
+        trials: Newest trials looked at, executed or refused; at most `WINDOW`.
+        rate: Share of these that succeeded; None without any.
+        before: Share of as many trials before them; None where there are fewer.
+        evaluated: Newest trials of kind evaluation; at most `WINDOW`.
+        evaluation_rate: Share of these that succeeded; None without any.
+    """
+
+    trials: int
+    rate: float | None
+    before: float | None
+    evaluated: int
+    evaluation_rate: float | None
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class TrialHistory:
+    """Views of all stored trials, oldest first: making one costs nothing, and another thread may read it.
+
+    Attributes:
+        seqs: (n,) log positions.
+        states: (n, d) [units of the state].
+        goals: (n, p) [units of the goal].
+        outcomes: (n, q) [units of the outcome]; q is 0 where the task does not learn from them.
+        costs: (n,) NaN where there is none.
+        kinds: (n,) positions in `KINDS`.
+        flags: (n,) as `Trial.flags`.
+        removed: (n,) which were taken out of learning.
+    """
+
+    seqs: Indices
+    states: Array
+    goals: Array
+    outcomes: Array
+    costs: Array
+    kinds: NDArray[np.uint8]
+    flags: NDArray[np.uint8]
+    removed: NDArray[np.bool_]
+
+    def newest_tried(self, count: int) -> Indices:
+        """Rows of the newest trials, executed or refused, that are not removed; at most `count`, ascending."""
+        return self._newest((_TRIAL, _FAILED), count)
+
+    def executed(self, rows: Indices) -> NDArray[np.bool_]:
+        """Which of these rows are trials whose goal was executed."""
+        executed: NDArray[np.bool_] = self.kinds[rows] == _TRIAL
+        return executed
+
+    def successes(self, rows: Indices) -> NDArray[np.bool_]:
+        """Which of these rows did what was wanted."""
+        return (self.flags[rows] & 1).astype(np.bool_)
+
+    def trend(self) -> SuccessTrend:
+        """Success of the newest trials, of those before, and of the newest evaluations."""
+        tried, judged = self.newest_tried(2 * WINDOW), self._newest((_EVALUATION,), WINDOW)
+        newest, before = tried[-WINDOW:], tried[:-WINDOW]
+        earlier = self._rate(before) if len(before) == WINDOW else None
+        return SuccessTrend(len(newest), self._rate(newest), earlier, len(judged), self._rate(judged))
+
+    def _rate(self, rows: Indices) -> float | None:
+        return float(self.successes(rows).mean()) if len(rows) else None
+
+    def _newest(self, kinds: tuple[int, ...], count: int) -> Indices:
+        found: list[Indices] = []
+        missing, end = count, len(self.seqs)
+        while missing > 0 and end > 0:
+            rows = np.arange(max(0, end - 2 * count), end)
+            rows = rows[np.isin(self.kinds[rows], kinds) & ~self.removed[rows]]
+            found.insert(0, rows[-missing:])
+            missing, end = missing - len(rows), end - 2 * count
+        return np.concatenate(found) if found else np.zeros(0, dtype=np.int64)

@@ -18,8 +18,8 @@ setup: ## make .venv from the lock; quick when it is complete
 demo: setup ## learn table tennis from nothing, on this machine; ARGS="--trials 200 --json"
 	@$(BIN)/crkr demo $(ARGS)
 
-test: lint ## run ruff, mypy and pytest; ARGS="-k name"
-	@$(BIN)/pytest $(ARGS)
+test: lint ## run ruff, mypy and pytest, on up to eight cores; ARGS="-k name"
+	@$(BIN)/pytest -n auto --maxprocesses 8 --dist worksteal $(ARGS)
 
 lint: setup ## run ruff and mypy only
 	@$(BIN)/ruff check .

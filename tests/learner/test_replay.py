@@ -3,7 +3,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
-from uuid import uuid4
+from uuid import UUID, uuid4
 
 import numpy as np
 import pytest
@@ -39,6 +39,9 @@ def events(learner: Learner, rng: np.random.Generator, trials: list[Trial]) -> l
         elif step % 3 == 1:
             log.append(("remove", (learner.version + 1, ids)))
             learner.apply_remove(*log[-1][1])
+        else:
+            log.append(("amend", (learner.version + 1, *amended(group[:4] + trials[:2], rng))))
+            learner.apply_amend(*log[-1][1])
         if step == 4:
             log.append(("configure", (learner.version + 1, {"budget": 25, "kernel": {"linear_weight": 0.1}})))
             learner.apply_configure(*log[-1][1])
@@ -50,6 +53,22 @@ def events(learner: Learner, rng: np.random.Generator, trials: list[Trial]) -> l
             assert found.accepted
             log.append(("fit", (learner.version, found.lengthscales, found.signal_variance)))
     return log
+
+
+def amended(trials: list[Trial], rng: np.random.Generator) -> tuple[list[UUID], list[dict[str, Any]]]:
+    """Trials, some of them removed before, that are now judged otherwise."""
+    values = [
+        {
+            "cost": float(rng.uniform()),
+            "success": bool(rng.uniform() < 0.5),
+            "learn": None if rng.uniform() < 0.7 else bool(rng.uniform() < 0.5),
+            "kind": str(rng.choice(["trial", "trial", "demonstration", "evaluation", "failed"])),
+            "outcome": None if rng.uniform() < 0.2 else rng.normal(size=2).tolist(),
+            "removed": bool(rng.uniform() < 0.2),
+        }
+        for _ in trials
+    ]
+    return [trial.id for trial in trials], values
 
 
 def as_columns(seqs: Sequence[int], trials: Sequence[Trial]) -> TrialColumns:
@@ -163,6 +182,39 @@ def test_radii_kept_from_an_earlier_life_give_the_same_learner(make_spec: MakeSp
     assert theirs is not None
     np.testing.assert_array_equal(ours.squared, theirs.squared)
     np.testing.assert_array_equal(ours.seqs, theirs.seqs)
+
+
+def test_an_amended_history_is_learned_as_if_it_had_been_reported_so(make_spec: MakeSpec) -> None:
+    rng = np.random.default_rng(3)
+    spec = make_spec(budget=12, outcome=[{"name": name, "tolerance": 0.2} for name in ("near", "far")])
+    states, goals, costs = rng.uniform(-2, 2, (80, 2)), rng.uniform(-1, 1, (80, 2)), rng.uniform(size=80)
+    success, outcome = rng.uniform(size=80) < 0.5, rng.normal(size=(80, 2))
+    ids = [uuid4() for _ in range(80)]
+
+    def learned(success: Any, costs: Any, outcome: Any) -> Learner:
+        learner = Learner(spec)
+        trials = make_trials(
+            spec, state=states, goal=goals, cost=costs, success=success.tolist(), outcome=outcome, id=ids
+        )
+        for seq, trial in enumerate(trials, 2):
+            learner.apply_trials([seq], [trial])
+        return learner
+
+    first, wrong = learned(success, costs, outcome), rng.choice(80, 30, replace=False)
+    success[wrong], costs[wrong], outcome[wrong] = ~success[wrong], costs[wrong] / 2, outcome[wrong] + 1
+    for seq, one in enumerate(wrong, first.version + 1):
+        values = {"cost": costs[one], "success": bool(success[one]), "outcome": outcome[one].tolist()}
+        first.apply_amend(seq, [ids[one]], [{**values, "kind": "trial", "learn": None, "removed": False}])
+        radii = first.radii()
+        assert radii is not None
+        assert len(radii.seqs) == len(radii.squared) == first.eligible
+    second = learned(success, costs, outcome)
+    assert first.active_ids == second.active_ids
+    assert first.eligible == second.eligible
+    queries, draws = rng.uniform(-2, 2, (20, 2)), [uuid4() for _ in range(20)]
+    ours, theirs = (learner.predict(queries, True, draws) for learner in (first, second))
+    for name in ("goals", "means", "sigmas", "predicted_outcome"):
+        np.testing.assert_allclose(getattr(ours, name), getattr(theirs, name), rtol=1e-9, atol=1e-9)
 
 
 def test_the_same_calls_give_the_same_bits(make_spec: MakeSpec, taught: Teach, fingerprint: Look) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from crkr.protocol import (
+    AmendRequest,
     Explanation,
     Prediction,
     PredictRequest,
@@ -17,6 +18,7 @@ from crkr.protocol import (
     ReportRequest,
     StoredTrial,
     TaskSpec,
+    UndoRequest,
     check_encoding,
     encoding,
     error_from_wire,
@@ -64,6 +66,8 @@ AGAIN: dict[str, Callable[[dict[str, Any]], Mapping[str, Any]]] = {
         **message,
         "tasks": [{**entry, "spec": TaskSpec.from_dict(entry["spec"]).to_dict()} for entry in message["tasks"]],
     },
+    "amend.request": lambda message: AmendRequest.from_wire(message).to_wire(),
+    "undo.request": lambda message: UndoRequest.from_wire(message).to_wire(),
     "error.conflict": lambda message: error_to_wire(error_from_wire(message)),
     "error.busy": lambda message: error_to_wire(error_from_wire(message)),
 }
@@ -111,5 +115,5 @@ def test_other_forms_of_an_array_say_the_same(name: str) -> None:
 
 def test_every_verb_that_stores_or_asks_has_its_vectors() -> None:
     asked = {"create_task", "info", "tasks", "spec", "predict", "report", "samples", "explain"}
-    assert {name.split(".")[0] for name in NAMES} == asked | {"recost", "remove", "configure", "error"}
+    assert {name.split(".")[0] for name in NAMES} == asked | {"recost", "remove", "amend", "undo", "configure", "error"}
     assert {path.stem for path in VECTORS.glob("*.msgpack")} == set(NAMES)

@@ -92,10 +92,19 @@ def request(verb: str, spec: Mapping[str, Any], new: Sequence[str], rng: Rng) ->
         "notice": lambda: {"version": 5, "active": 3, "added": known, "evicted": []},
         "model": lambda: {"known_version": 3},
         "tasks": lambda: {"after": 0, "limit": 3},
-        "samples": lambda: {"after": 0, "limit": 5},
+        "samples": lambda: one(({"after": 0, "limit": 5}, {"last": 3, "before": 9}, {"id": known[:1]}), rng),
         "explain": lambda: {"state": states, "sample_id": known[0]},
         "create_task": lambda: specification(one(new, rng), guided=bool(rng.random() < 0.3)),
         "recost": lambda: {"ids": known, "costs": encoded([0.5, 0.25]), "reason": "because"},
+        "amend": lambda: {
+            "ids": known,
+            "success": bool(rng.random() < 0.5),
+            "cost": 0.25,
+            "kind": "trial",
+            "restore": True,
+            "reason": "because",
+        },
+        "undo": lambda: {"request": fresh.to_bytes(16, "big"), "worker": "eve", "reason": "because"},
         "remove": lambda: {"ids": known[:1], "reason": "because"},
         "configure": lambda: {
             "changes": {

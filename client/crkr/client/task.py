@@ -8,12 +8,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Unpack, final
 from uuid import UUID
 
+from crkr.client.administration import Administration
 from crkr.client.checks import AnswerCheck, answer_to, check_bounds, check_receipt, plain
 from crkr.client.network.presence import Presence
 from crkr.client.network.subscription import TOPICS, Subscription
 from crkr.client.outbox.outbox import Outbox
 from crkr.client.rpc import Rpc
-from crkr.client.task_calls import ask, ask_in_parts, look_up
+from crkr.client.task_calls import ask, ask_in_parts, look_up, named_trials, newest_trials, worst_trials
 from crkr.protocol import (
     MAX_TELEMETRY_BYTES,
     Array,
@@ -35,6 +36,7 @@ from crkr.protocol import (
     pub_key,
     random_ids,
     task_key,
+    trial_ids,
     unpack,
 )
 from crkr.protocol.checks import finite_array, flag, integer, required, text
@@ -47,7 +49,7 @@ __all__ = ["Task"]
 
 
 @final
-class Task:
+class Task(Administration):
     """A task by name; every call has a deadline and raises the protocol's typed errors.
 
     Every method may raise `Unavailable` (no answer by the deadline) and `UnknownTask`; only others are listed.
@@ -176,6 +178,36 @@ class Task:
             page = [StoredTrial.from_wire(entry, spec) for entry in required(reply, "samples")]
             return page, None if following is None else integer(following, "next")
 
+    def trials(
+        self,
+        *,
+        last: int | None = None,
+        worst: int | None = None,
+        id: UUID | Sequence[UUID] | None = None,  # noqa: A002 - the protocol's word
+        timeout_s: float | None = None,
+    ) -> list[StoredTrial]:
+        """Some stored trials as they are today, amended and removed ones too; the newest 10 unless told otherwise.
+
+        Args:
+            last: That many of the newest, newest first.
+            worst: That many of highest cost, worst first, removed ones left out; reads all trials.
+            id: These.
+            timeout_s: Deadline of each page [s].
+
+        Raises:
+            Invalid: An unknown id, or more than one of the three.
+            Unsupported: The server is older than these questions.
+        """
+        if sum(one is not None for one in (last, worst, id)) > 1:
+            raise Invalid("give one of last, worst and id")
+        if worst is not None:
+            return worst_trials(self.samples, integer(worst, "worst", low=1), timeout_s)
+        spec, timeout_s = self._specified(timeout_s)
+        if id is not None:
+            return named_trials(self._rpc, self.name, spec, trial_ids([id] if isinstance(id, UUID) else id), timeout_s)
+        count = integer(10 if last is None else last, "last", low=1)
+        return newest_trials(self._rpc, self.name, spec, count, timeout_s)
+
     def iter_samples(self, after: int = 0) -> Iterator[StoredTrial]:
         """Every stored trial with seq > `after`, in order, page by page."""
         position: int | None = after
@@ -193,30 +225,11 @@ class Task:
         with answer_to("explain"):
             return Explanation.from_wire(reply)
 
-    def recost(
-        self, ids: Sequence[UUID], costs: object, reason: str = "", *, timeout_s: float | None = None
-    ) -> dict[str, Any]:
-        """Replaces the costs of stored trials: `changed`, `seq`, `model_version`."""
-        checked = finite_array(costs, "costs", (len(ids),))
-        return self._admin("recost", {"ids": list(ids), "costs": checked, "reason": reason}, timeout_s)
-
-    def remove(self, ids: Sequence[UUID], reason: str = "", *, timeout_s: float | None = None) -> dict[str, Any]:
-        """Removes trials from the model; the log keeps them, marked: `removed`, `seq`, `model_version`."""
-        return self._admin("remove", {"ids": list(ids), "reason": reason}, timeout_s)
-
-    def refit(self, *, timeout_s: float | None = None) -> dict[str, Any]:
-        """Fits the kernel by its evidence: returns the hyper-parameters, or `accepted` False."""
-        return self._admin("refit", {}, timeout_s)
-
     def configure(self, changes: Mapping[str, Any], *, timeout_s: float | None = None) -> dict[str, Any]:
         """Changes settings named in `crkr.protocol.CHANGEABLE`; the answer holds the specification in force."""
         reply = self._admin("configure", {"changes": dict(changes)}, timeout_s)
         self._spec = None
         return reply
-
-    def archive(self, *, timeout_s: float | None = None) -> dict[str, Any]:
-        """Ends learning for good; the task still answers and keeps its data."""
-        return self._admin("archive", {}, timeout_s)
 
     def announce(self, worker_id: str, *, timeout_s: float | None = None) -> Presence:
         """Shows a worker as alive until the returned object is closed.

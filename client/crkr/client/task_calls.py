@@ -1,19 +1,22 @@
-"""Calls of `Task` that may take several messages: the look-up of a specification, and many predictions."""
+"""Calls of `Task` that may take several messages: the look-up of a specification, many predictions, and many trials."""
 
 from __future__ import annotations
 
+import heapq
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Final
+from uuid import UUID
 
 from crkr.client.checks import answer_to
 from crkr.client.rpc import Rpc
-from crkr.protocol import Array, NovelState, Prediction, TaskSpec, UnknownTask, Unsupported, task_key
-from crkr.protocol.checks import required
+from crkr.protocol import Array, NovelState, Prediction, StoredTrial, TaskSpec, UnknownTask, Unsupported, task_key
+from crkr.protocol.checks import entries, integer, required
 
-__all__ = ["ask", "ask_in_parts", "look_up"]
+__all__ = ["ask", "ask_in_parts", "look_up", "named_trials", "newest_trials", "worst_trials"]
 
 _MOST_NAMED: Final = 20  # tasks named in an error
+_PAGE: Final = 1000  # trials
 
 
 def look_up(rpc: Rpc, name: str, timeout_s: float | None) -> tuple[TaskSpec, bool]:
@@ -38,10 +41,10 @@ def _listed(rpc: Rpc, name: str, deadline: float) -> Mapping[str, Any]:
     names: list[str] = []
     for page in rpc.task_pages(deadline):
         with answer_to("tasks"):
-            entries: dict[str, Mapping[str, Any]] = {entry["spec"]["name"]: entry for entry in page}
-            if name in entries:
-                return entries[name]
-            names += sorted(entries)
+            summaries: dict[str, Mapping[str, Any]] = {entry["spec"]["name"]: entry for entry in page}
+            if name in summaries:
+                return summaries[name]
+            names += sorted(summaries)
     listed = ", ".join(names[:_MOST_NAMED]) or "none"
     raise UnknownTask(
         f"no task {name!r} at {rpc.transport.endpoint}; it has: {listed}; crkr create makes one", details={"task": name}
@@ -76,3 +79,63 @@ def ask_in_parts(
             told = f"among states {start} to {end - 1}: {error.message}"
             raise NovelState(told, details={**error.details, **where}) from error
     return Prediction.joined(parts)
+
+
+def named_trials(
+    rpc: Rpc, task: str, spec: TaskSpec, ids: Sequence[UUID], timeout_s: float | None
+) -> list[StoredTrial]:
+    """Stored trials by their ids, in the order asked.
+
+    Raises:
+        Invalid: An unknown id.
+        Unsupported: The server is too old to be asked by id.
+    """
+    reply = rpc.call(task_key(task, "samples"), {"id": list(ids), "limit": len(ids)}, timeout_s)
+    found = _stored(reply, spec)
+    if [one.trial.id for one in found] != list(ids):
+        raise Unsupported("the server is of an earlier version, which finds no trials by id; read them by iter_samples")
+    return found
+
+
+def newest_trials(rpc: Rpc, task: str, spec: TaskSpec, count: int, timeout_s: float | None) -> list[StoredTrial]:
+    """The newest `count` trials, newest first.
+
+    Raises:
+        Unsupported: The server is too old to be asked backwards.
+    """
+    found: list[StoredTrial] = []
+    before: int | None = None
+    while len(found) < count:
+        message: dict[str, Any] = {"last": min(count - len(found), _PAGE)}
+        reply = rpc.call(
+            task_key(task, "samples"), message if before is None else {**message, "before": before}, timeout_s
+        )
+        if reply.get("backwards") is not True:
+            raise Unsupported("the server is of an earlier version, which reads trials forwards only: use iter_samples")
+        found += _stored(reply, spec)
+        with answer_to("samples"):
+            if reply.get("next") is None:
+                break
+            before = integer(reply["next"], "next")
+    return found
+
+
+def worst_trials(
+    page: Callable[..., tuple[list[StoredTrial], int | None]], count: int, timeout_s: float | None
+) -> list[StoredTrial]:
+    """The `count` trials of highest cost that are not removed, worst first; the newer of equal ones first."""
+    worst: list[StoredTrial] = []
+    after: int | None = 0
+    while after is not None:
+        found, after = page(after, timeout_s=timeout_s)
+        worst = heapq.nlargest(count, [*worst, *_with_cost(found)], key=lambda one: (one.trial.cost, one.seq))
+    return worst
+
+
+def _with_cost(found: Iterable[StoredTrial]) -> list[StoredTrial]:
+    return [one for one in found if one.trial.cost is not None and not one.removed]
+
+
+def _stored(reply: Mapping[str, Any], spec: TaskSpec) -> list[StoredTrial]:
+    with answer_to("samples"):
+        return [StoredTrial.from_wire(entry, spec) for entry in entries(reply, "samples")]

@@ -166,6 +166,38 @@ class Knowledge:
         self._refresh(any(self.store.is_demonstration(row) for row in rows))
         return len(rows)
 
+    def apply_amend(self, seq: int, ids: Sequence[UUID | bytes], values: Sequence[Mapping[str, Any]]) -> int:
+        """Changes what trials are said to be; returns how many there are.
+
+        Args:
+            seq: Log position.
+            ids: The trials.
+            values: For each its `cost`, `success`, `learn`, `kind`, `outcome` and `removed` from now on.
+
+        Raises:
+            Invalid: An unknown or repeated id.
+        """
+        rows = self._rows_of(ids)
+        self._check_seqs([seq], 1)
+        indices = np.array(rows, dtype=np.int64)
+        eligible, tried = self.store.eligible(indices, self.spec.learn_from), self.store.count_tried(indices)
+        for row, each in zip(rows, values, strict=True):
+            self.store.amend(row, each)
+        self.tried += self.store.count_tried(indices) - tried
+        now = self.store.eligible(indices, self.spec.learn_from)
+        self.eligible_count += int(np.count_nonzero(now)) - int(np.count_nonzero(eligible))
+        if not self._deferred:
+            if (now & ~eligible).any():  # they are older than others, and take their places among them
+                self.selection.rebuild(self.eligible())
+            else:
+                self.selection.remove(indices[eligible & ~now].tolist())
+                self.selection.recost(indices[now].tolist())
+            if self._guided is not None:
+                self._guided.rebuild()
+        self.version = seq
+        self._refresh(True)
+        return len(rows)
+
     def apply_configure(self, seq: int, changes: Mapping[str, Any]) -> TaskSpec:
         """Changes settings; numbers that were fitted stay unless they are given. Returns the specification in force.
 

@@ -256,6 +256,19 @@ class Learner:
         """Applies a removal at log position `seq`; see `remove`."""
         return self._told.apply_remove(seq, ids)
 
+    def apply_amend(self, seq: int, ids: Sequence[UUID | bytes], values: Sequence[Mapping[str, Any]]) -> int:
+        """Applies other values of trials at log position `seq`; returns how many trials there are.
+
+        Args:
+            seq: Log position.
+            ids: The trials.
+            values: For each its `cost`, `success`, `learn`, `kind`, `outcome` and `removed` from now on.
+
+        Raises:
+            Invalid: An unknown or repeated id.
+        """
+        return self._told.apply_amend(seq, ids, values)
+
     def apply_configure(self, seq: int, changes: Mapping[str, Any]) -> TaskSpec:
         """Applies new settings at log position `seq`; see `configure`. Fitted numbers stay where none are given."""
         return self._told.apply_configure(seq, changes)

@@ -47,6 +47,7 @@ from crkr.protocol.keys import (
     split_key,
     task_key,
 )
+from crkr.protocol.messages.amendment import AmendRequest, UndoRequest, trial_ids
 from crkr.protocol.messages.explanation import Explanation, Neighbour, SampleExplanation
 from crkr.protocol.messages.predict import Prediction, PredictRequest, check_states
 from crkr.protocol.messages.report import Receipt, ReportRequest, StoredTrial
@@ -58,10 +59,11 @@ from crkr.protocol.specification.dimensions import GoalDimension, OutcomeEntry, 
 from crkr.protocol.specification.limits import MOST_ACTIVE, MOST_KEPT, refuse_absurd
 from crkr.protocol.specification.settings import Exploration, KernelSettings
 from crkr.protocol.specification.task_spec import CHANGEABLE, TaskSpec
-from crkr.protocol.trial import KINDS, Trial
+from crkr.protocol.trial import AMENDABLE, KINDS, Trial
 
 __all__ = [
     "ADMIN_VERBS",
+    "AMENDABLE",
     "CHANGEABLE",
     "KINDS",
     "MAX_MESSAGE_BYTES",
@@ -73,6 +75,7 @@ __all__ = [
     "PROTOCOL_VERSION",
     "SERVER_VERBS",
     "TASK_VERBS",
+    "AmendRequest",
     "Array",
     "Busy",
     "Conflict",
@@ -103,6 +106,7 @@ __all__ = [
     "Trial",
     "TrialFields",
     "Unavailable",
+    "UndoRequest",
     "UnknownTask",
     "Unsupported",
     "admin_key",
@@ -137,5 +141,6 @@ __all__ = [
     "task_id",
     "task_key",
     "training_id",
+    "trial_ids",
     "unpack",
 ]

@@ -17,10 +17,11 @@ from crkr.protocol.errors import Invalid
 from crkr.protocol.info import MAX_INFO_BYTES, check_info, info_from_wire
 from crkr.protocol.specification.task_spec import TaskSpec
 
-__all__ = ["KINDS", "MAX_INFO_BYTES", "Trial", "may_learn", "success_and_learn"]
+__all__ = ["AMENDABLE", "KINDS", "MAX_INFO_BYTES", "Trial", "flags_of", "may_learn", "success_and_learn"]
 
 # What a trial cost where only its success is told: not 0 and 1, so that one label is never taken as certain.
 LABEL_COSTS: Final = {True: 0.1, False: 0.9}
+AMENDABLE: Final = ("success", "cost", "outcome", "kind", "learn")
 KINDS: Final = ("trial", "demonstration", "evaluation", "failed")
 _LEARN_TOLD: Final = 2  # of `Trial.flags`
 _LEARN: Final = 4
@@ -197,7 +198,25 @@ class Trial:
     @property
     def flags(self) -> int:
         """`success` and `learn` in one number; 0 or 1 where `learn` is left to the task."""
-        return int(self.success) | (0 if self.learn is None else _LEARN_TOLD | _LEARN * self.learn)
+        return flags_of(self.success, self.learn)
+
+    def amended(self, spec: TaskSpec, changes: Mapping[str, Any]) -> Trial:
+        """The same trial with another `success`, `cost`, `outcome`, `kind` or `learn`.
+
+        Where the task learns from labels, a new label brings its cost. A trial that becomes "failed" is no success.
+
+        Raises:
+            Invalid: A value that is not allowed, or values that do not go together.
+        """
+        values = {name: getattr(self, name) for name in AMENDABLE} | dict(changes)
+        if changes.get("kind") == "failed" and "success" not in changes:
+            values["success"] = False
+        if changes.get("kind", "trial") != "trial" and "learn" not in changes:
+            values["learn"] = None  # it is for trials only
+        if spec.cost == "label" and "success" in changes and "cost" not in changes:
+            values["cost"] = None  # the label's
+        rest = {name: getattr(self, name) for name in ("id", "state", "goal", "worker", "model_version")}
+        return self._checked(spec, **rest, **values, info=dict(self.info))
 
     def digest(self) -> bytes:
         """16 bytes that are equal exactly when the content (bitwise, provenance aside) is."""
@@ -207,6 +226,11 @@ class Trial:
         if self.outcome is not None:
             content.append(self.outcome.tobytes())
         return blake2b(b"".join(content), digest_size=16).digest()
+
+
+def flags_of(success: bool, learn: bool | None) -> int:
+    """`Trial.flags` for these values."""
+    return int(success) | (0 if learn is None else _LEARN_TOLD | _LEARN * learn)
 
 
 def success_and_learn(flags: int) -> tuple[bool, bool | None]:

@@ -147,7 +147,8 @@ class Server:
             return dict.fromkeys(verbs.split(), made)
 
         # Writes keep their order, and are stored even if the client gave up: a late report is data like any other.
-        write = lane("write", "report create_task recost remove configure archive", writer.work, MOST_REPORTS, 4096)
+        changes = "recost remove amend undo configure archive"
+        write = lane("write", f"report create_task {changes}", writer.work, MOST_REPORTS, 4096)
         fair: dict[str, Any] = {"fair": True, "patience_s": math.inf}
         quick: dict[str, Any] = {"fair": True, "patience_s": _PATIENCE_S, "longest_s": _LONGEST_S}
         brief = lane("brief", "info status spec model", reader.work, **quick)
@@ -169,7 +170,7 @@ class Server:
         verbs = "predict report status spec model samples explain"
         intake(task_key("*", "*"), verbs, predictor.answer, self.tasks.look)
         intake(rpc_key("*"), "info tasks create_task")
-        intake(admin_key("*", "*"), "refit recost remove configure archive", None, self.tasks.look)
+        intake(admin_key("*", "*"), f"refit {changes}", None, self.tasks.look)
         self._token_key = live_server_key(str(server_id))
         return writer.commits
 

@@ -20,7 +20,7 @@ MakeTrial = Callable[..., dict[str, Any]]
 Rng = np.random.Generator
 
 TASK_VERBS = ("predict", "report", "status", "model", "samples", "explain")
-ADMIN_VERBS = ("recost", "remove", "refit", "configure", "archive")
+ADMIN_VERBS = ("recost", "remove", "amend", "undo", "refit", "configure", "archive")
 WRITES = ("report", *ADMIN_VERBS)
 AT_ONCE = 64
 REFUSALS = {"INVALID", "UNKNOWN_TASK", "UNSUPPORTED", "CONFLICT", "BUSY", "NO_SAMPLES", "NOVEL_STATE"}
@@ -164,7 +164,7 @@ def key(rng: Rng) -> tuple[str, str]:
     if kind < 0.65:
         verb = (*TASK_VERBS, "dance", "a" * 500)[rng.integers(8)]
         return f"task/{task[rng.integers(len(task))]}/rpc/{verb}", verb
-    verb = (*ADMIN_VERBS, "dance")[rng.integers(6)]
+    verb = (*ADMIN_VERBS, "dance")[rng.integers(len(ADMIN_VERBS) + 1)]
     return f"task/{'shut' if verb == 'archive' else task[rng.integers(len(task))]}/admin/{verb}", verb
 
 

@@ -54,6 +54,8 @@ def data(tmp_path: Path) -> Path:
     log.append_reports([PendingReport("reach", trials(0, 200))])
     log.append_event("reach", "recost", {"ids": [UUID(int=5), UUID(int=9)], "costs": [0.0, 0.9], "reason": ""})
     log.append_event("reach", "remove", {"ids": [UUID(int=7)], "reason": ""})
+    judged = {"cost": 0.5, "success": False, "kind": "trial", "learn": True, "outcome": None, "removed": False}
+    log.append_event("reach", "amend", {"ids": [UUID(int=8), UUID(int=9)], "values": [judged, judged], "reason": ""})
     log.append_event("reach", "fit", {"lengthscales": [0.2, 0.15], "signal_variance": 0.5})
     log.append_event("reach", "configure", {"changes": {"budget": 25}})
     log.append_reports([PendingReport("reach", trials(1000, 50))])

@@ -15,9 +15,9 @@ __all__ = ["build"]
 GROUP: Final = "crkr.commands"
 _PANELS: Final[Mapping[str, tuple[str, ...]]] = {
     "Run": ("demo", "server", "workers", "watch"),
-    "Ask and report": ("create", "tasks", "status", "predict", "report", "explain", "doctor"),
+    "Ask and report": ("create", "tasks", "status", "predict", "report", "ask", "trials", "explain", "doctor"),
     "Judge": ("evaluate", "oracle", "render", "plot", "experiment", "bench"),
-    "Manage a task": ("recost", "remove", "refit", "configure", "archive"),
+    "Manage a task": ("amend", "undo", "recost", "remove", "refit", "configure", "archive"),
     "Data": ("export", "import", "backup", "replay"),
 }
 _GROUP_HELP: Final[Mapping[str, str]] = {

@@ -14,7 +14,7 @@ from crkr.client.cli.console import json_data, print_json, stderr, stdout, tidy
 from crkr.client.cli.options import Connect, Json, Timeout, ZenohConfig, parse_ids
 from crkr.protocol import Invalid
 
-__all__ = ["archive", "configure", "recost", "refit", "remove"]
+__all__ = ["archive", "configure", "recost", "refit", "remove", "show_answer"]
 
 _Task = Annotated[str, typer.Argument(help="Name of the task.")]
 _Reason = Annotated[str, typer.Option("--reason", help="Reason, kept in the log.")]
@@ -40,7 +40,7 @@ def recost(
     except ValueError as error:
         raise typer.BadParameter("each change is ID=COST with a number for the cost") from error
     with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
-        _show(client.task(task).recost(ids, costs, reason), as_json)
+        show_answer(client.task(task).recost(ids, costs, reason), as_json)
 
 
 def remove(
@@ -57,7 +57,7 @@ def remove(
     Example: crkr remove throw 2f1c6a1e-6c1f-4b52-9f0e-0d6a3c5b7e11 --reason "hand slipped"
     """
     with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
-        _show(client.task(task).remove(parse_ids(ids), reason), as_json)
+        show_answer(client.task(task).remove(parse_ids(ids), reason), as_json)
 
 
 def refit(
@@ -72,7 +72,7 @@ def refit(
     Example: crkr refit throw
     """
     with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
-        _show(client.task(task).refit(), as_json)
+        show_answer(client.task(task).refit(), as_json)
 
 
 def configure(
@@ -115,7 +115,7 @@ def archive(
     if not yes:
         _confirm(task)
     with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
-        _show(client.task(task).archive(), as_json)
+        show_answer(client.task(task).archive(), as_json)
 
 
 def _settings(changes: list[str]) -> dict[str, Any]:
@@ -172,7 +172,8 @@ def _fitted(answer: Mapping[str, Any]) -> Iterator[str]:
             yield f"in force: {name} {tidy(fitted)}, fitted (the specification says {tidy(value)})"
 
 
-def _show(answer: Mapping[str, Any], as_json: bool) -> None:
+def show_answer(answer: Mapping[str, Any], as_json: bool) -> None:
+    """Prints an answer, a line for each field."""
     if as_json:
         print_json(answer)
         return

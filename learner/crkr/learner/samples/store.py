@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Final, final
+from collections.abc import Mapping, Sequence
+from typing import Any, Final, final
 from uuid import UUID
 
 import numpy as np
@@ -15,7 +15,7 @@ from crkr.learner.samples.history import TrialHistory
 from crkr.learner.samples.id_index import IdIndex, id_words
 from crkr.learner.selection.anms_batch import Indices
 from crkr.protocol import KINDS, Array, Conflict, Invalid, Trial
-from crkr.protocol.trial import may_learn, success_and_learn
+from crkr.protocol.trial import flags_of, may_learn, success_and_learn
 
 __all__ = ["SampleStore"]
 
@@ -225,6 +225,15 @@ class SampleStore:
     def recost(self, row: int, cost: float) -> None:
         """Changes the present cost; what was reported stays what duplicates are compared with."""
         self._costs.rows[row] = cost
+
+    def amend(self, row: int, values: Mapping[str, Any]) -> None:
+        """Changes what stands in `AMENDABLE`, and `removed`; the id and its digest stay."""
+        self._costs.rows[row] = np.nan if values["cost"] is None else values["cost"]
+        self._flags.rows[row] = flags_of(values["success"], values["learn"])
+        self._kinds.rows[row] = KINDS.index(values["kind"])
+        self._removed.rows[row] = values["removed"]
+        if self._keeps_outcomes:
+            self._outcomes.rows[row] = np.nan if values["outcome"] is None else values["outcome"]
 
     def remove(self, row: int) -> None:
         """Takes a trial out of learning."""

@@ -51,6 +51,7 @@ class Selection:
         self._store = store
         self._selector: Selector = factory(len(spec.state), spec.budget)
         self._rows = Growable(np.int32)
+        self._alive = Growable(np.bool_)  # which of them were not removed since
         self._numbers: Indices | None = self._selector.active
         self.active: Indices = self._numbers.astype(np.int64)
 
@@ -58,6 +59,7 @@ class Selection:
         """Takes rows that became eligible, younger than all before."""
         if len(rows):
             self._rows.extend(rows)
+            self._alive.extend(np.ones(len(rows), dtype=np.bool_))
             self._selector.extend(self._standardised(rows), self._store.costs[rows])
             self._update()
 
@@ -65,6 +67,7 @@ class Selection:
         """Forget rows; rows that are not eligible are left out."""
         numbers = self._known(rows)
         if len(numbers):
+            self._alive.rows[numbers] = False
             self._selector.remove(numbers)
             self._update()
 
@@ -86,6 +89,7 @@ class Selection:
         if cache is not None and np.array_equal(cache.seqs, self._store.seqs[rows]):
             radii = Radii(cache.squared, cache.suppressors)
         self._rows.replace(rows)
+        self._alive.replace(np.ones(len(rows), dtype=np.bool_))
         self._selector.rebuild(self._standardised(rows), self._store.costs[rows], radii)
         self._numbers = None  # the same numbers may stand for other rows now
         self._update()
@@ -104,8 +108,8 @@ class Selection:
         radii = self._selector.radii()
         if radii is None:
             return None
-        rows = self._rows.rows
-        return RadiiCache(version, self._store.seqs[rows[~self._store.removed[rows]]], radii.squared, radii.suppressor)
+        rows = self._rows.rows[self._alive.rows]
+        return RadiiCache(version, self._store.seqs[rows], radii.squared, radii.suppressor)
 
     def _standardised(self, rows: Indices) -> Array:
         return self._metric.standardise(self._store.states[rows])

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Final, final
 
 from crkr.protocol import CrkrError, StorageError, StoredTrial, TaskSpec, UnknownTask
-from crkr.server.log import Event, SqliteReader
+from crkr.server.log import Corrections, Event, SqliteReader
 from crkr.server.log.acknowledged_count import lost_end, read_tally
 from crkr.server.log.schema import FILE_NAME
 
@@ -42,6 +42,7 @@ class StoredRun:
         acknowledged = read_tally(directory)  # before the log, which a server may add to meanwhile
         self._reader = SqliteReader(directory / FILE_NAME)
         self._task = task
+        self._corrections = Corrections()
         try:
             positions = self._reader.positions()
             if (held := sum(positions.values())) < acknowledged:
@@ -68,7 +69,8 @@ class StoredRun:
         following: int | None = 0
         while following is not None:
             entries, following = self._reader.page(self._task, after, size, _MOST_BYTES)
-            trials = [self._trial(entry) for entry in entries if entry["seq"] <= self.last]
+            present = map(self._corrections.present, entries)
+            trials = [self._trial(entry) for entry in present if entry["seq"] <= self.last]
             if not trials:
                 return
             after = trials[-1].seq
@@ -88,7 +90,10 @@ class StoredRun:
         try:
             spec = TaskSpec.from_dict(first.body["spec"])
             for entry in self._reader.blocks(self._task, len(spec.state), len(spec.goal), 0, self.last):
-                if isinstance(entry, Event) and entry.kind == "configure":
+                if not isinstance(entry, Event):
+                    continue
+                self._corrections.note(entry)
+                if entry.kind == "configure":
                     spec = spec.with_changes(entry.body["changes"])
         except StorageError:
             raise

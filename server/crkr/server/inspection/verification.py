@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final, final
 
 import numpy as np
 
 from crkr.learner import Kernel, Learner, radii_kdtree, top
-from crkr.protocol import KINDS, CrkrError, NoSamples, StorageError, TaskSpec, Trial, UnknownTask
+from crkr.protocol import CrkrError, NoSamples, StorageError, TaskSpec, Trial, UnknownTask
 from crkr.server.learning.radii_cache import load_radii
 from crkr.server.learning.restore import batches, restore
 from crkr.server.learning.tasks import apply_entries
-from crkr.server.log import Event, LogReader
+from crkr.server.log import Corrections, Event, LogReader
 
 __all__ = ["Verdict", "verify"]
 
@@ -104,6 +104,11 @@ def _relearn(log: LogReader, name: str, progress: Callable[[int], None]) -> tupl
         elif batch.kind == "remove":
             for one in batch.body["ids"]:
                 kept[one].removed = True
+        elif batch.kind == "amend":
+            for one, values in zip(batch.body["ids"], batch.body["values"], strict=True):
+                changed = {name: values[name] for name in ("success", "kind", "learn")}
+                now = replace(kept[one].trial, **changed)
+                kept[one] = _Kept(now, values["cost"], values["removed"])
         progress(learner.version)
     return learner, kept
 
@@ -128,15 +133,19 @@ def _eligible(kept: _Kept, learn_from: str) -> bool:
 
 def _compare_rows(log: LogReader, name: str, trials: dict[bytes, _Kept]) -> list[str]:
     """Compare the answers of `samples` with the events."""
+    corrections = Corrections()
+    for event in log.events(name):
+        corrections.note(event)
     after: int | None = 0
     wrong = count = 0
     while after is not None:
         entries, after = log.page(name, after, _PAGE, 2**30)
         count += len(entries)
-        for entry in entries:
+        for entry in map(corrections.present, entries):
             kept = trials[entry["id"]]
             wrong += entry["cost"] != kept.cost or entry.get("removed", False) != kept.removed
-            wrong += entry["kind"] not in KINDS
+            wrong += (entry["kind"], entry["success"]) != (kept.trial.kind, kept.trial.success)
+            wrong += entry.get("learn") != kept.trial.learn
     problems = [f"{wrong} samples are handed out with another cost or mark than the events say"] if wrong else []
     return problems if count == len(trials) else [*problems, f"{count} samples are handed out, {len(trials)} logged"]
 

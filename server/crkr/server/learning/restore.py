@@ -71,6 +71,8 @@ def _faulty(log: LogReader, name: str, fault: str) -> ServedTask:
     except Exception:
         task = ServedTask(_unknown(name))
     task.fault, task.restored, task.seq = fault[:_LONGEST], False, log.last(name)
+    for event in log.events(name):  # its trials are handed out as corrected all the same
+        task.corrections.note(event)
     return task
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from crkr.learner import Advice, Learner, Model, TrialColumns, advise
 from crkr.protocol import KINDS, Internal, TaskSpec, UnknownTask, pack, task_id
-from crkr.server.log import Event, LoggedTrial
+from crkr.server.log import Corrections, Event, LoggedTrial
 
 __all__ = ["ServedTask", "Tasks", "apply_entries", "hyperparameters"]
 
@@ -36,7 +36,8 @@ class ServedTask:
         seq: Last committed log position.
         configured: Log position of the last change of its settings.
         archived: Only reads are answered.
-        samples: Stored trials by kind, removed ones included.
+        samples: Stored trials by kind as reported, removed ones included.
+        corrections: What later events say of the stored trials.
         eligible: Number of trials that may be learned from.
         fault: Why learning stopped; "" while it runs.
         restarting: A restart of its outcome model is in the log and not learned yet.
@@ -52,6 +53,7 @@ class ServedTask:
         "agreed",
         "archived",
         "configured",
+        "corrections",
         "created",
         "damage",
         "dimensions",
@@ -80,6 +82,7 @@ class ServedTask:
         self.seq = self.configured = 1
         self.archived = False
         self.samples: Counter[str] = Counter()
+        self.corrections: Final = Corrections()
         self.eligible = 0
         self.fault = self.damage = ""
         self.restored = True
@@ -108,7 +111,9 @@ class ServedTask:
         self.seq = entry.seq
         if isinstance(entry, LoggedTrial):
             self.samples[entry.trial.kind] += 1
-        elif entry.kind == "archive":
+            return
+        self.corrections.note(entry)
+        if entry.kind == "archive":
             self.archived = True
         elif entry.kind == "configure":
             self.configured = entry.seq
@@ -213,6 +218,8 @@ def apply_entries(learner: Learner, entries: Sequence[LoggedTrial] | Event) -> A
             return learner.apply_recost(seq, body["ids"], body["costs"])
         case "remove":
             return learner.apply_remove(seq, body["ids"])
+        case "amend":
+            return learner.apply_amend(seq, body["ids"], body["values"])
         case "configure":
             return learner.apply_configure(seq, body["changes"])
         case "fit":

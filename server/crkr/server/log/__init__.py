@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from crkr.server.log.corrections import Corrections, values_of
 from crkr.server.log.entries import EVENT_KINDS, Event, LoggedTrial, PendingReport, Stored
 from crkr.server.log.sqlite_log import SqliteLog
 from crkr.server.log.sqlite_reader import SqliteReader
@@ -9,6 +10,7 @@ from crkr.server.log.task_log import LogReader, TaskLog
 
 __all__ = [
     "EVENT_KINDS",
+    "Corrections",
     "Event",
     "LogReader",
     "LoggedTrial",
@@ -17,4 +19,5 @@ __all__ = [
     "SqliteReader",
     "Stored",
     "TaskLog",
+    "values_of",
 ]

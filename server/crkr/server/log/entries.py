@@ -10,7 +10,7 @@ from crkr.protocol import Trial
 
 __all__ = ["EVENT_KINDS", "Event", "LoggedTrial", "PendingReport", "Stored"]
 
-EVENT_KINDS: Final = ("create", "recost", "remove", "configure", "fit", "archive", "restart")
+EVENT_KINDS: Final = ("create", "recost", "remove", "amend", "configure", "fit", "archive", "restart")
 
 
 @final
@@ -39,7 +39,8 @@ class Event:
         time: When it was committed [unix s].
         kind: One of `EVENT_KINDS`.
         body: Its numbers as plain data: the specification of a create, ids and costs of a recost, ids of a remove,
-            changes of a configure, the resulting numbers of a fit; nothing of an archive and of a restart.
+            ids and new values of an amend, changes of a configure, the resulting numbers of a fit; nothing of an
+            archive and of a restart. What was before stands in `was`, and what is taken back in `undoes`.
     """
 
     seq: int

@@ -25,13 +25,16 @@ from crkr.server.log.schema import check_version, connect, read_errors, storage_
 
 __all__ = ["SqliteReader"]
 
-_FIND: Final = "SELECT 1 FROM trial WHERE task = ? AND id = ?"
+_TRIAL: Final = f"SELECT {ROW_COLUMNS} FROM trial WHERE task = ? AND id = ?"
 _READ_TRIALS: Final = f"SELECT {ROW_COLUMNS} FROM trial WHERE task = ? AND seq > ? ORDER BY seq"
 _READ_BLOCKS: Final = f"SELECT {BLOCK_COLUMNS} FROM trial WHERE task = ? AND seq > ? AND seq < ? ORDER BY seq"
 _READ_SPAN: Final = f"SELECT {ROW_COLUMNS} FROM trial WHERE task = ? AND seq > ? AND seq <= ?"
 _BLOCK: Final = 4096  # trials read together
 _READ_EVENTS: Final = "SELECT seq, time, kind, body, digest FROM event WHERE task = ? AND seq > ? ORDER BY seq"
+_EVENT: Final = "SELECT seq, time, kind, body, digest FROM event WHERE task = ? AND seq = ?"
 _PAGE: Final = f"SELECT {ROW_COLUMNS} FROM trial WHERE task = ? AND seq > ? ORDER BY seq LIMIT ?"
+_PAGE_BEFORE: Final = f"SELECT {ROW_COLUMNS} FROM trial WHERE task = ? AND seq < ? ORDER BY seq DESC LIMIT ?"
+_END: Final = 2**62  # beyond every log position
 _LAST: Final = """SELECT max((SELECT coalesce(max(seq), 0) FROM trial WHERE task = :task),
                             (SELECT coalesce(max(seq), 0) FROM event WHERE task = :task))"""
 _ROW_BYTES: Final = 240  # of a page entry, its vectors and info aside
@@ -91,11 +94,23 @@ class SqliteReader:
             last = {key: connection.execute(_LAST, {"task": key}).fetchone()[0] for key in names}
             return {name: int(last[key]) for key, name in names.items()}
 
-    def missing(self, task: str, ids: Sequence[UUID]) -> list[UUID]:
-        """The ids that name no stored trial."""
+    def trials(self, task: str, ids: Sequence[UUID]) -> list[dict[str, Any]]:
+        """Trials by their ids, as in `page` and in the order asked; unknown ids are left out."""
         with read_errors("look up trials"):
             reader, key = self._connection(), self._key(task)
-            return [one for one in ids if reader.execute(_FIND, (key, one.bytes)).fetchone() is None]
+            rows = (reader.execute(_TRIAL, (key, one.bytes)).fetchone() for one in ids)
+            return [wire_of(row) for row in rows if row is not None]
+
+    def events(self, task: str) -> Iterator[Event]:
+        """All events in order, without the trials."""
+        with read_errors(f"read the log of task {task!r}"):
+            yield from map(_event, self._connection().execute(_READ_EVENTS, (self._key(task), 0)))
+
+    def event(self, task: str, seq: int) -> Event | None:
+        """The event at a log position, None where there is none."""
+        with read_errors(f"read the log of task {task!r}"):
+            row = self._connection().execute(_EVENT, (self._key(task), seq)).fetchone()
+            return None if row is None else _event(row)
 
     def read(self, task: str, after: int = 0) -> Iterator[LoggedTrial | Event]:
         """All entries past a log position, in order; raises `StorageError` at the first that is damaged or missing."""
@@ -141,10 +156,21 @@ class SqliteReader:
 
     def page(self, task: str, after: int, limit: int, most_bytes: int) -> tuple[list[dict[str, Any]], int | None]:
         """Trials past a log position as wire maps with their present costs, and where to go on (None at the end)."""
+        return self._page(_PAGE, task, after, limit, most_bytes)
+
+    def page_before(
+        self, task: str, before: int | None, limit: int, most_bytes: int
+    ) -> tuple[list[dict[str, Any]], int | None]:
+        """The same backwards: trials before a log position (None: from the end), newest first, and where to go on."""
+        return self._page(_PAGE_BEFORE, task, _END if before is None else before, limit, most_bytes)
+
+    def _page(
+        self, query: str, task: str, start: int, limit: int, most_bytes: int
+    ) -> tuple[list[dict[str, Any]], int | None]:
         entries: list[dict[str, Any]] = []
         size = 0
         with read_errors(f"read samples of task {task!r}"):
-            for row in self._connection().execute(_PAGE, (self._key(task), after, limit + 1)):
+            for row in self._connection().execute(query, (self._key(task), start, limit + 1)):
                 size += _ROW_BYTES + sum(_bytes(value) for value in row)
                 if entries and (len(entries) == limit or size > most_bytes):
                     return entries, int(entries[-1]["seq"])

@@ -28,10 +28,6 @@ class LogReader(Protocol):
         """Log position of the task's last entry."""
         ...
 
-    def missing(self, task: str, ids: Sequence[UUID]) -> list[UUID]:
-        """The ids that name no stored trial."""
-        ...
-
     def read(self, task: str, after: int = 0) -> Iterator[LoggedTrial | Event]:
         """All entries past a log position, in order, checked against their digests."""
         ...
@@ -44,6 +40,24 @@ class LogReader(Protocol):
 
     def page(self, task: str, after: int, limit: int, most_bytes: int) -> tuple[list[dict[str, Any]], int | None]:
         """Trials past a log position as wire maps with their present costs, and where to go on (None at the end)."""
+        ...
+
+    def page_before(
+        self, task: str, before: int | None, limit: int, most_bytes: int
+    ) -> tuple[list[dict[str, Any]], int | None]:
+        """The same backwards: trials before a log position (None: from the end), newest first, and where to go on."""
+        ...
+
+    def trials(self, task: str, ids: Sequence[UUID]) -> list[dict[str, Any]]:
+        """Trials by their ids, as in `page` and in the order asked; unknown ids are left out."""
+        ...
+
+    def events(self, task: str) -> Iterator[Event]:
+        """All events in order, without the trials."""
+        ...
+
+    def event(self, task: str, seq: int) -> Event | None:
+        """The event at a log position, None where there is none."""
         ...
 
     def load_cache(self, task: str) -> tuple[int, bytes] | None:

@@ -4,25 +4,32 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, final
+from typing import Any, Final, TypeAlias, final
 from uuid import UUID
 
 from crkr.protocol import (
-    MAX_TRIALS,
+    AmendRequest,
     Invalid,
     KernelSettings,
+    StoredTrial,
     Unsupported,
     check_model_fits,
     id_from_wire,
+    pack,
     refuse_absurd,
+    trial_ids,
 )
 from crkr.protocol.checks import cost_number, finite_array, required, text
 from crkr.protocol.codec import array_from_wire
 from crkr.protocol.errors import shown
 from crkr.protocol.specification.task_spec import CHANGEABLE
 from crkr.server.learning.tasks import ServedTask, hyperparameters
+from crkr.server.log import values_of
 
-__all__ = ["Change", "read_change"]
+__all__ = ["Answer", "Change", "amendment", "read_change", "refuse_unknown", "removal"]
+
+Answer: TypeAlias = Callable[[ServedTask, Any], dict[str, Any]]
+"""Makes the fields of a reply from the task and the learner's result."""
 
 _KERNEL: Final = tuple(KernelSettings.__dataclass_fields__)
 
@@ -35,14 +42,16 @@ class Change:
     Attributes:
         kind: Kind of the event.
         body: Body of the event.
-        answer: Makes the fields of the reply from the task and the learner's result.
+        answer: Makes the fields of the reply.
         ids: Trials named, which must exist.
+        complete: Makes the body from the named trials as they are now; None: nothing changes, and no event is stored.
     """
 
     kind: str
     body: Mapping[str, Any]
-    answer: Callable[[ServedTask, Any], dict[str, Any]]
+    answer: Answer
     ids: Sequence[UUID] = ()
+    complete: Callable[[Sequence[Mapping[str, Any]]], Mapping[str, Any] | None] | None = None
 
 
 def read_change(verb: str, message: Mapping[str, Any], task: ServedTask) -> Change:
@@ -54,16 +63,66 @@ def read_change(verb: str, message: Mapping[str, Any], task: ServedTask) -> Chan
 
 
 def _recost(message: Mapping[str, Any], _task: ServedTask) -> Change:
-    ids = _ids(message)
+    ids = trial_ids(required(message, "ids"))
     costs = finite_array(array_from_wire(required(message, "costs"), "costs"), "costs", (len(ids),))
     values = [cost_number(cost, "costs") for cost in costs.tolist()]
-    body = {"ids": ids, "costs": values, "reason": _reason(message)}
-    return Change("recost", body, lambda _, changed: {"changed": int(changed)}, ids)
+    body = {"ids": list(ids), "costs": values, "reason": _reason(message)}
+
+    def complete(present: Sequence[Mapping[str, Any]]) -> Mapping[str, Any]:
+        return {**body, "was": [trial["cost"] for trial in present]}
+
+    return Change("recost", body, lambda _, changed: {"changed": int(changed)}, ids, complete)
 
 
 def _remove(message: Mapping[str, Any], _task: ServedTask) -> Change:
-    ids = _ids(message)
-    return Change("remove", {"ids": ids, "reason": _reason(message)}, lambda _, removed: {"removed": int(removed)}, ids)
+    ids = trial_ids(required(message, "ids"))
+    return removal(ids, {"reason": _reason(message)}, lambda _, removed: {"removed": int(removed)})
+
+
+def removal(ids: Sequence[UUID], body: Mapping[str, Any], answer: Answer) -> Change:
+    """The removal of trials, which notes those that were removed before."""
+
+    def complete(present: Sequence[Mapping[str, Any]]) -> Mapping[str, Any]:
+        return {"ids": list(ids), **body, "was": [trial.get("removed", False) for trial in present]}
+
+    return Change("remove", {"ids": list(ids), **body}, answer, ids, complete)
+
+
+def amendment(
+    ids: Sequence[UUID],
+    now: Callable[[Mapping[str, Any], int], Mapping[str, Any]],
+    body: Mapping[str, Any],
+    answer: Answer,
+) -> Change:
+    """Other values for trials.
+
+    Args:
+        ids: The trials.
+        now: A trial as it is, and its place among them -> its values from now on.
+        body: What the event says besides.
+        answer: Makes the fields of the reply.
+    """
+
+    def complete(present: Sequence[Mapping[str, Any]]) -> Mapping[str, Any] | None:
+        was = [values_of(trial) for trial in present]
+        values = [now(trial, place) for place, trial in enumerate(present)]
+        if "undoes" not in body and pack({"values": values}) == pack({"values": was}):  # bitwise: NaN is not itself
+            return None
+        return {"ids": list(ids), **body, "values": values, "was": was}
+
+    return Change("amend", body, answer, ids, complete)
+
+
+def _amend(message: Mapping[str, Any], task: ServedTask) -> Change:
+    asked = AmendRequest.from_wire(message)
+
+    def now(trial: Mapping[str, Any], _place: int) -> Mapping[str, Any]:
+        if trial.get("removed") and not asked.restore:
+            raise Invalid(f"trial {id_from_wire(trial['id'])} is removed; amend it with restore to learn from it again")
+        amended = StoredTrial.from_wire(trial, task.created).trial.amended(task.created, asked.changes)
+        return values_of(amended.to_wire())
+
+    return amendment(asked.ids, now, {"reason": asked.reason}, lambda _, changed: {"changed": int(changed or 0)})
 
 
 def _configure(message: Mapping[str, Any], task: ServedTask) -> Change:
@@ -98,14 +157,15 @@ def _archive(_message: Mapping[str, Any], _task: ServedTask) -> Change:
     return Change("archive", {}, lambda _task, _: {"archived": True})
 
 
-def _ids(message: Mapping[str, Any]) -> list[UUID]:
-    given = required(message, "ids")
-    if not isinstance(given, list) or not 1 <= len(given) <= MAX_TRIALS:
-        raise Invalid(f"ids must be a list of 1 to {MAX_TRIALS} ids")
-    ids = [id_from_wire(one, "ids") for one in given]
-    if len(set(ids)) != len(ids):
-        raise Invalid("ids must differ; one comes twice")
-    return ids
+def refuse_unknown(task: str, ids: Sequence[UUID], found: Sequence[Mapping[str, Any]]) -> None:
+    """Raise `Invalid` if some of the ids are not among the trials that were found."""
+    known = {trial["id"] for trial in found}
+    if missing := [one for one in ids if one.bytes not in known]:
+        listed = ", ".join(str(one) for one in missing[:5])
+        raise Invalid(
+            f"task {task!r} has no trial with {'this id' if len(missing) == 1 else 'these ids'}: {listed}",
+            details={"missing": [str(one) for one in missing]},
+        )
 
 
 def _reason(message: Mapping[str, Any]) -> str:
@@ -115,6 +175,7 @@ def _reason(message: Mapping[str, Any]) -> str:
 _READERS: Final[Mapping[str, Callable[[Mapping[str, Any], ServedTask], Change]]] = {
     "recost": _recost,
     "remove": _remove,
+    "amend": _amend,
     "configure": _configure,
     "archive": _archive,
 }

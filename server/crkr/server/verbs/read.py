@@ -23,6 +23,7 @@ from crkr.protocol import (
     id_from_wire,
     most_active,
     pack_around,
+    trial_ids,
 )
 from crkr.protocol.checks import integer, required
 from crkr.server.learning.tasks import ServedTask, Tasks, hyperparameters
@@ -32,6 +33,7 @@ from crkr.server.metrics.durations import Latencies
 from crkr.server.queries.queue import busy
 from crkr.server.queries.request import Request
 from crkr.server.thread_faults import FAULTS
+from crkr.server.verbs.admin import refuse_unknown
 from crkr.server.workers import Workers
 
 __all__ = ["Reader"]
@@ -187,8 +189,27 @@ class Reader:
         task = self._tasks.look(request.task)
         after = integer(message.get("after", 0), "after")
         limit = integer(message.get("limit", 1000), "limit", low=1, high=_MOST)
-        samples, following = self._log.page(task.name, after, limit, _PAGE_BYTES)
-        request.reply({"samples": samples, "next": following})
+        if "id" in message:
+            samples, following = self._named(task, message["id"]), None
+        elif "last" in message or "before" in message:
+            before = integer(message["before"], "before") if "before" in message else None
+            limit = integer(message.get("last", limit), "last", low=1, high=_MOST)
+            samples, following = self._log.page_before(task.name, before, limit, _PAGE_BYTES)
+        else:
+            samples, following = self._log.page(task.name, after, limit, _PAGE_BYTES)
+        answer: dict[str, Any] = {
+            "samples": [task.corrections.present(sample) for sample in samples],
+            "next": following,
+        }
+        if "last" in message or "before" in message:
+            answer["backwards"] = True
+        request.reply(answer)
+
+    def _named(self, task: ServedTask, given: object) -> list[dict[str, Any]]:
+        ids = trial_ids(given if isinstance(given, list) else [given])
+        found = self._log.trials(task.name, ids)
+        refuse_unknown(task.name, ids, found)
+        return found
 
     def _explain(self, request: Request) -> None:
         message = request.message()

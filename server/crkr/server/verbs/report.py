@@ -26,7 +26,8 @@ from crkr.server.log import Event, PendingReport, Stored, TaskLog
 from crkr.server.metrics.durations import Durations
 from crkr.server.queries.queue import busy
 from crkr.server.queries.request import Job, Request
-from crkr.server.verbs.admin import Change, read_change
+from crkr.server.verbs.admin import Change, read_change, refuse_unknown
+from crkr.server.verbs.undo import read_undo
 from crkr.server.workers import Workers
 
 __all__ = ["MOST_REPORTS", "Writer", "refuse_archived"]
@@ -173,7 +174,10 @@ class Writer:
 
     def _change(self, request: Request) -> None:
         task = self._tasks.get(request.task)
-        change = read_change(request.verb, request.message(), task)
+        if request.verb == "undo":
+            change = read_undo(request.message(), task, self._log.reads)
+        else:
+            change = read_change(request.verb, request.message(), task)
         self._refuse_when_full(request, task)
         self.commit(task, change, request)
 
@@ -205,15 +209,17 @@ class Writer:
             self._await(task, (), task.seq, change, request)
             return
         refuse_archived(task)
-        missing = self._log.reads.missing(task.name, change.ids)
-        if missing:
-            listed = ", ".join(str(one) for one in missing[:5])
-            raise Invalid(
-                f"task {task.name!r} has no trial with {'this id' if len(missing) == 1 else 'these ids'}: {listed}",
-                details={"missing": [str(one) for one in missing]},
-            )
+        body: Mapping[str, Any] | None = change.body
+        if change.ids:
+            found = self._log.reads.trials(task.name, change.ids)
+            refuse_unknown(task.name, change.ids, found)
+            if change.complete is not None:
+                body = change.complete([task.corrections.present(trial) for trial in found])
+        if body is None:
+            self._await(task, (), task.seq, change, request)
+            return
         with self.commits.timing():
-            event = self._log.append_event(task.name, change.kind, change.body)
+            event = self._log.append_event(task.name, change.kind, body)
         task.note(event)
         logger.info("%s of task %s at log position %d", change.kind, task.name, event.seq)
 

@@ -27,7 +27,7 @@ SHORT_FOR_A_REASON = {
     "sim_worker/crkr/sim_worker/commands/plot_policy.py": "a command, found by its entry point, imports nothing heavy",
     "sim_worker/crkr/sim_worker/simulation/scene_file.py": "MuJoCo and Pinocchio read a scene through it alone",
     "sim_worker/crkr/sim_worker/table_tennis/scene.py": "what five parts of the skill make of its scene file",
-    "sim_worker/crkr/sim_worker/table_tennis/environments/play.py": "one value, which three environments give the tracker",
+    "sim_worker/crkr/sim_worker/table_tennis/environments/play.py": "one value that three environments give",
 }
 SHORT_MOST = 21
 """Modules below that length without a reason."""

@@ -27,7 +27,7 @@ def _layer(parts: str, packages: str) -> Layer:
 
 LAYERS = {
     "protocol": _layer("", "numpy msgpack"),
-    "learner": _layer("protocol", "numpy scipy"),
+    "learner": _layer("protocol", "numpy scipy numba"),
     "client": _layer("protocol", "numpy zenoh typer rich pyarrow"),
     "server": _layer("protocol learner", "numpy zenoh typer rich prometheus_client"),
     "sim_worker": _layer("protocol client", "numpy scipy mujoco pinocchio coal clarabel matplotlib PIL av typer rich"),

@@ -22,6 +22,7 @@ SHORT = 60
 """Lines below which a module is probably part of another."""
 SHORT_FOR_A_REASON = {
     "learner/crkr/learner/cost.py": "one equation of the paper, used by three parts of the learner",
+    "learner/crkr/learner/selection/acceleration.py": "loads compiled code, which nothing else may do on its way",
     "protocol/crkr/protocol/ids.py": "one value, used by every message",
     "sim_worker/crkr/sim_worker/commands/oracle.py": "a command, found by its entry point, imports nothing heavy",
     "sim_worker/crkr/sim_worker/commands/plot_policy.py": "a command, found by its entry point, imports nothing heavy",

@@ -22,6 +22,7 @@ from crkr.learner.parameters import Parameters
 from crkr.learner.regression import Regression
 from crkr.learner.samples.columns import TrialColumns
 from crkr.learner.samples.report_review import Review
+from crkr.learner.selection.acceleration import accelerable, accelerate
 from crkr.learner.selection.anms import Anms
 from crkr.learner.selection.anms_batch import radii, radii_kdtree, top
 from crkr.learner.selection.eligible_rows import RadiiCache
@@ -51,6 +52,8 @@ __all__ = [
     "SelectorFactory",
     "Standing",
     "TrialColumns",
+    "accelerable",
+    "accelerate",
     "advise",
     "check_fit",
     "draw_ids",

@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 
-from crkr.learner import SELECTORS, Selector, SelectorFactory
+from crkr.learner import SELECTORS, Anms, Selector, SelectorFactory, accelerate
 
 BUDGET = 7
+FACTORIES: dict[str, SelectorFactory] = {**SELECTORS, "anms by tree": partial(Anms, tree_from=0)}
 
 
-@pytest.fixture(params=sorted(SELECTORS))
+@pytest.fixture(autouse=True, scope="module")
+def compiled() -> None:
+    assert accelerate()
+
+
+@pytest.fixture(params=sorted(FACTORIES))
 def factory(request: pytest.FixtureRequest) -> SelectorFactory:
-    return SELECTORS[request.param]
+    return FACTORIES[request.param]
 
 
 def samples(count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:

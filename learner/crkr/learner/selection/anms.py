@@ -1,35 +1,66 @@
 """Adaptive Non-Maximal Suppression, kept exact while samples come, go and change cost.
 
-    Z   (n, d)  standardised states, oldest first          sup  (n,)  number of the suppressor; -1: none is better
-    c   (n,)    costs; NaN: removed                        r2   (n,)  squared radii; -1: removed
-    d2  (n,)    squared distances to the sample in hand    k          budget
-
-A radius depends on better samples only. So a new sample finds its own radius, and shrinks those of the worse ones it
-is nearer to than their suppressors: one pass, O(n d), in which about one radius changes whatever n is. Removing or
-re-costing a sample concerns only those whose suppressor it is, a pass each; where one suppresses very many, as among
-equal states, all radii are made anew, which costs less. Density-peak clustering keeps the same quantity, which
-it calls the dependent distance, while its data change [Amagata2023].
+A radius depends on better samples only, so that a change concerns few others. Two forms keep the radii, with the same
+bits: a pass over all samples, and from `TREE_FROM` samples on a priority k-d tree, where its compiled code is loaded
+(see `accelerate`). Density-peak clustering keeps the same quantity, the dependent distance, while its data change
+[Amagata2023].
 """
 
 from __future__ import annotations
 
-from typing import Final, final
+from typing import Final, Protocol, final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from crkr.learner.kernel import squared_distances
-from crkr.learner.samples.growable_array import Growable
-from crkr.learner.selection.anms_batch import Indices, radii_kdtree
+from crkr.learner.selection.acceleration import tree_radii
+from crkr.learner.selection.anms_batch import Indices
+from crkr.learner.selection.eager_radii import EagerRadii
 from crkr.learner.selection.selector import Radii, Standing
 from crkr.learner.selection.top_radii import Reserve
 from crkr.protocol import Array
 
-__all__ = ["Anms"]
+__all__ = ["TREE_FROM", "Anms", "SuppressionRadii"]
 
-Mask = NDArray[np.bool_]
+TREE_FROM: Final = 2000  # samples, from which on the tree is the quicker form
 
-_BATCH: Final = 6e3  # a batch build takes as long per sample as one pass over this many
+
+class SuppressionRadii(Protocol):
+    """Radii and suppressors of numbered samples.
+
+    Methods that change samples return the numbers of those whose radius may be another now, or None for all.
+    """
+
+    @property
+    def r2(self) -> Array:
+        """(n,) squared radii; -1: removed."""
+        ...
+
+    @property
+    def suppressors(self) -> Indices:
+        """(n,) numbers of the suppressors; -1: none."""
+        ...
+
+    def __len__(self) -> int: ...
+
+    def samples(self) -> tuple[Array, Array]:
+        """States (n, d) and costs (n,); a cost of NaN marks a removed sample."""
+        ...
+
+    def extend(self, Z: Array, costs: Array) -> Indices | None:
+        """Add samples."""
+        ...
+
+    def remove(self, gone: Indices) -> Indices | None:
+        """Forget samples, each named once; those they suppressed find other suppressors."""
+        ...
+
+    def recost(self, changed: Indices, costs: Array) -> Indices | None:
+        """Change costs of samples, each named once."""
+        ...
+
+    def rebuild(self, Z: Array, costs: Array, radii: Radii | None = None) -> None:
+        """Take these samples; without their radii, in about n log n. A cost of NaN marks a removed one."""
+        ...
 
 
 @final
@@ -39,15 +70,12 @@ class Anms:
     Args:
         dimensions: d.
         budget: k, the largest number of active samples.
+        tree_from: Samples from which on the tree keeps the radii, if `accelerate` was called.
     """
 
-    def __init__(self, dimensions: int, budget: int) -> None:
-        self._Z = Growable(np.float64, (dimensions,))
-        self._c = Growable(np.float64)
-        self._r2 = Growable(np.float64)
-        self._sup = Growable(np.int32)
-        self._d2 = np.empty(0)
-        self._near = np.empty(0, dtype=np.bool_)
+    def __init__(self, dimensions: int, budget: int, *, tree_from: int = TREE_FROM) -> None:
+        self._dimensions, self._tree_from = dimensions, tree_from
+        self._radii: SuppressionRadii = EagerRadii(dimensions)
         self._reserve = Reserve(budget)
 
     @property
@@ -56,135 +84,53 @@ class Anms:
         return self._reserve.chosen
 
     def extend(self, Z: Array, costs: Array) -> None:
-        """Adds samples one by one, or all in one batch where that costs less; the result is the same."""
-        n, added = len(self._c), len(costs)
-        if added * (n + added / 2) > _BATCH * (n + added):
-            self.rebuild(np.concatenate([self._Z.rows, Z]), np.concatenate([self._c.rows, costs]))
-            return
-        for z, cost in zip(Z, costs, strict=True):
-            self._insert(z, float(cost))
+        """Add samples one by one, or all in one batch where that costs less; the result is the same."""
+        self._accelerate()
+        self._choose(self._radii.extend(Z, costs))
 
     def remove(self, indices: Indices | int) -> None:
-        """Forgets samples; those they suppressed look for other suppressors, or all radii are made anew."""
-        gone = np.atleast_1d(indices)
-        sup = self._sup.rows
-        widowed = np.flatnonzero(np.isin(sup, gone))
-        self._c.rows[gone], self._r2.rows[gone], sup[gone] = np.nan, -1.0, -1
-        widowed = widowed[~np.isin(widowed, gone)]
-        if len(widowed) > _BATCH:
-            self.rebuild(self._Z.rows.copy(), self._c.rows.copy())
-            return
-        self._search(widowed)
-        self._reserve.update(self._r2.rows, np.append(widowed, gone))
+        """Forget samples; those they suppressed find other suppressors."""
+        self._accelerate()
+        self._choose(self._radii.remove(np.atleast_1d(indices)))
 
     def recost(self, indices: Indices | int, costs: Array | float) -> None:
-        """Changes costs: the samples' own radii, of those they suppressed and of those they suppress now."""
-        changed = np.atleast_1d(indices)
-        c, r2, sup = self._c.rows, self._r2.rows, self._sup.rows
-        c[changed] = costs
-        suppressed = np.flatnonzero(np.isin(sup, changed))
-        freed = suppressed[~self._is_better(sup[suppressed], suppressed)]
-        lost = np.union1d(freed, changed)
-        if len(lost) + len(changed) > _BATCH:
-            self.rebuild(self._Z.rows.copy(), c.copy())
-            return
-        self._search(lost)
-        touched = [lost]
-        for index in changed:
-            d2 = squared_distances(self._Z.rows[index : index + 1], self._Z.rows)[0]
-            nearer = np.flatnonzero((d2 < r2) | ((d2 == r2) & (index < sup)))
-            nearer = nearer[self._is_better(index, nearer)]
-            r2[nearer], sup[nearer] = d2[nearer], index
-            touched.append(nearer)
-        self._reserve.update(r2, np.concatenate(touched))
+        """Change costs: the samples' own radii, of those they suppressed and of those they suppress now."""
+        self._accelerate()
+        self._choose(self._radii.recost(np.atleast_1d(indices), np.atleast_1d(costs)))
 
     def rebuild(self, Z: Array, costs: Array, radii: Radii | None = None) -> None:
-        """Takes these samples; without their radii, in about n log n. A cost of NaN marks a removed one."""
-        alive = np.flatnonzero(~np.isnan(costs))
-        if radii is None:
-            radii = Radii(*radii_kdtree(Z[alive], costs[alive]))
-        r2, sup = np.full(len(costs), -1.0), np.full(len(costs), -1)
-        r2[alive], sup[alive] = radii.squared, np.where(radii.suppressor < 0, -1, alive[radii.suppressor])
-        for column, values in ((self._Z, Z), (self._c, costs), (self._r2, r2), (self._sup, sup)):
-            column.replace(values)
-        self._reserve.reset(self._r2.rows)
+        """Take these samples; without their radii, in about n log n. A cost of NaN marks a removed one."""
+        form = tree_radii() if len(costs) >= self._tree_from else None
+        self._radii = EagerRadii(self._dimensions) if form is None else form(self._dimensions)
+        self._radii.rebuild(Z, costs, radii)
+        self._reserve.reset(self._radii.r2)
 
     def set_budget(self, budget: int) -> None:
         """Selects anew with another k; radii do not depend on it."""
         self._reserve = Reserve(budget)
-        self._reserve.reset(self._r2.rows)
+        self._reserve.reset(self._radii.r2)
 
     def standing(self, index: int) -> Standing:
         """The suppressor and the radius; neither for the best sample, nor for a removed one."""
-        suppressor = int(self._sup.rows[index])
-        return Standing(None, None) if suppressor < 0 else Standing(suppressor, float(np.sqrt(self._r2.rows[index])))
+        suppressor = int(self._radii.suppressors[index])
+        return Standing(None, None) if suppressor < 0 else Standing(suppressor, float(np.sqrt(self._radii.r2[index])))
 
     def radii(self) -> Radii:
         """Squared radii and suppressors without the removed samples."""
-        alive = self._r2.rows >= 0
+        alive = self._radii.r2 >= 0
         position = np.cumsum(alive) - 1
-        suppressor = self._sup.rows[alive].astype(np.int64)
-        return Radii(self._r2.rows[alive], np.where(suppressor < 0, -1, position[suppressor]))
+        suppressor = self._radii.suppressors[alive].astype(np.int64)
+        return Radii(self._radii.r2[alive], np.where(suppressor < 0, -1, position[suppressor]))
 
-    def _insert(self, z: Array, cost: float) -> None:
-        new = len(self._c)
-        r2, sup = self._r2.rows, self._sup.rows
-        d2 = self._distances(z, new)
-        changed = np.flatnonzero(np.less(d2, r2, out=self._near[:new]))
-        radius, suppressor = self._nearest_better(d2, cost)
-        changed = changed[self._c.rows[changed] > cost]  # equal costs: the older is the better
-        r2[changed], sup[changed] = d2[changed], new
-        for column, value in ((self._Z, z), (self._c, cost), (self._r2, radius), (self._sup, suppressor)):
-            column.append(value)
-        self._reserve.update(self._r2.rows, np.append(changed, new))
+    def _accelerate(self) -> None:
+        """Change to the tree once it pays and its code is loaded."""
+        few = len(self._radii) < self._tree_from
+        if not few and isinstance(self._radii, EagerRadii) and (tree := tree_radii()) is not None:
+            (Z, costs), known, self._radii = self._radii.samples(), self.radii(), tree(self._dimensions)
+            self._radii.rebuild(Z, costs, known)
 
-    def _distances(self, z: Array, count: int) -> Array:
-        if len(self._d2) < count:
-            self._d2, self._near = np.empty(2 * count), np.empty(2 * count, dtype=np.bool_)
-        d2 = self._d2[:count]
-        if count:
-            squared_distances(z[None], self._Z.rows, out=d2[None])
-        return d2
-
-    def _nearest_better(self, d2: Array, cost: float) -> tuple[float, int]:
-        """Squared distance to and number of the nearest older sample with a cost of at most `cost`.
-
-        The nearest sample of all, or one up its chain of suppressors, is good enough; only what is no farther than that
-        one need be looked at.
-        """
-        c, sup = self._c.rows, self._sup.rows
-        if not len(d2):
-            return np.inf, -1
-        nearest = found = int(d2.argmin())
-        while found >= 0 and not c[found] <= cost:
-            if np.isnan(c[found]):  # a removed sample has no suppressor to follow
-                return _nearest(d2, c <= cost)
-            found = int(sup[found])
-        if found < 0:
-            return np.inf, -1
-        if found != nearest:
-            near = np.less_equal(d2, d2[found], out=self._near[: len(d2)])
-            return _nearest(d2, near & (c <= cost))
-        return float(d2[found]), found
-
-    def _search(self, indices: Indices) -> None:
-        """Finds radius and suppressor of each sample from scratch."""
-        c = self._c.rows
-        for index in indices:
-            better = c < c[index]
-            better[:index] |= c[:index] == c[index]
-            d2 = squared_distances(self._Z.rows[index : index + 1], self._Z.rows)[0]
-            self._r2.rows[index], self._sup.rows[index] = _nearest(d2, better)
-
-    def _is_better(self, these: Indices | int, others: Indices) -> Mask:
-        c = self._c.rows
-        better: Mask = (c[these] < c[others]) | ((c[these] == c[others]) & (these < others))
-        return better
-
-
-def _nearest(d2: Array, among: Mask) -> tuple[float, int]:
-    candidates = np.flatnonzero(among)
-    if not len(candidates):
-        return np.inf, -1
-    found = int(candidates[d2[candidates].argmin()])
-    return float(d2[found]), found
+    def _choose(self, touched: Indices | None) -> None:
+        if touched is None:
+            self._reserve.reset(self._radii.r2)
+        else:
+            self._reserve.update(self._radii.r2, touched)

@@ -1,0 +1,53 @@
+"""The compiled form of the selection, where it is installed and was loaded.
+
+It needs numba, the extra `fast`. Loading takes about a second, and compiling before that some ten seconds, once a
+machine and version; so it is asked for, never done on the way. Without it selection is the same, only slower once
+samples are many.
+"""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from crkr.learner.selection.selector import Radii
+
+if TYPE_CHECKING:
+    from crkr.learner.selection.tree_radii import TreeRadii
+
+__all__ = ["accelerable", "accelerate", "tree_radii"]
+
+_loaded: list[type[TreeRadii]] = []  # at most one; a module is loaded once
+
+
+def accelerable() -> bool:
+    """Whether numba is installed."""
+    return find_spec("numba") is not None
+
+
+def accelerate() -> bool:
+    """Load the compiled selection, which all learners of this process use from then on; False without numba.
+
+    Compiles it first where this machine has not yet, into the user's cache (NUMBA_CACHE_DIR, if set). Any thread may
+    call it; others are not held up by more than the interpreter's lock.
+    """
+    if not accelerable():
+        return False
+    if not _loaded:
+        from crkr.learner.selection.tree_radii import TreeRadii
+
+        radii, Z, costs = TreeRadii(1), np.array([[0.0], [1.0], [2.0]]), np.array([0.1, 0.2, 0.3])
+        radii.extend(Z, costs)  # every function once, which compiles it or loads it
+        radii.recost(np.array([0]), np.array([0.4]))
+        radii.remove(np.array([1]))
+        radii.rebuild(Z, costs, None)
+        radii.rebuild(Z, costs, Radii(radii.r2.copy(), radii.suppressors))
+        _loaded.append(TreeRadii)
+    return True
+
+
+def tree_radii() -> type[TreeRadii] | None:
+    """The compiled form, if it was loaded."""
+    return _loaded[0] if _loaded else None

@@ -1,0 +1,566 @@
+"""A priority k-d tree over samples, compiled: the nearest better sample, and whose radius a sample shrinks, in log n.
+
+    x  (d,)  standardised state          r2  squared radius: distance to the suppressor, the nearest better sample
+    c        cost                        d2  squared distance to x
+
+Samples lie in leaves of up to `SLOTS`. A node knows the box of its samples, their lowest and highest cost and largest
+radius, so that one descent leaves out what holds no better sample, or no radius that reaches x. A node splits the
+widest side of its box; equal states are split by cost, equal costs by age, so that no stream of samples makes the tree
+degenerate. Where a path gets too long, the subtree that is out of balance is built anew [Galperin1993].
+
+Distances are sums over dimensions in their order, and a box's distance is rounded like a sample's: bounds are exact,
+and radii have the bits of `squared_distances`. Of equally near better samples the suppressor is a costly one, so that
+equal states form chains, in which each suppresses few.
+
+The module needs numba (`pip install crkr[fast]`), and compiling it takes some seconds once a machine. It is one file,
+as numba's cache looks at the time of that file only.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numba import njit
+
+from crkr.protocol import Array
+
+__all__ = ["SLOTS", "Tree", "build", "fill_radii", "insert", "link", "recost", "remove"]
+
+SLOTS: Final = 32
+_FILL: Final = 24  # samples in a leaf that was just built
+_DEEPEST: Final = 128  # a path; the balance keeps it below 70
+_UNBALANCED: Final = 0.7  # share of a node's samples in one child
+_NONE: Final = -1
+
+# Columns of `Tree.links`, `Tree.samples`, and entries of `Tree.counts`.
+_PARENT, _CHILD, _LEAF, _COUNT, _AXIS = range(5)  # children are neighbours; _CHILD is the left one
+_PLACE, _SUPPRESSOR, _FIRST, _NEXT, _PREVIOUS = range(5)  # the lists of those that a sample suppresses
+_NODES, _LEAVES, _FREE_PAIR, _FREE_LEAF, _MOST, _TOUCHED = range(6)
+
+
+class Tree(NamedTuple):
+    """The arrays of a tree; the root is node 0.
+
+    Attributes:
+        boxes: (nodes, 2 d + 4) lowest and highest coordinates, lowest and highest cost, largest r2, where it is split.
+        links: (nodes, 5) parent, left child, leaf, number of samples, axis of the split.
+        slots: (leaves, d + 2, SLOTS) coordinates, costs and r2 of the samples in a leaf.
+        numbers: (leaves, SLOTS + 2) their numbers; how many there are; the leaf's node.
+        samples: (n, 5) slot in all leaves, -1 for a removed sample; suppressor; first suppressed; list neighbours.
+        r2: (n,) squared radii; -1: removed.
+        counts: (6,) nodes and leaves used, free ones, most samples since the last build, how many were touched.
+        touched: Numbers of samples whose radius was set since `counts` said none was; those that fit.
+    """
+
+    boxes: Array
+    links: Any
+    slots: Array
+    numbers: Any
+    samples: Any
+    r2: Array
+    counts: Any
+    touched: Any
+
+
+_compiled = njit(nogil=True, cache=True, error_model="numpy")
+_inner = njit(nogil=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+
+
+@_inner
+def _box_distance(boxes, node, x):
+    d = len(x)
+    total = 0.0
+    for axis in range(d):
+        gap = max(boxes[node, axis] - x[axis], x[axis] - boxes[node, d + axis], 0.0)
+        total += gap * gap
+    return total
+
+
+@_inner
+def _distances(slots, leaf, count, x, d2):
+    """Squared distances of a leaf's samples to x, into d2."""
+    block = slots[leaf]
+    for axis in range(len(x)):
+        value, row = x[axis], block[axis]
+        if axis == 0:
+            for slot in range(count):
+                gap = value - row[slot]
+                d2[slot] = gap * gap
+        else:
+            for slot in range(count):
+                gap = value - row[slot]
+                d2[slot] += gap * gap
+
+
+@_inner
+def _summarise(tree, node, d):
+    """The node's box, costs and largest radius from its samples."""
+    leaf = tree.links[node, _LEAF]
+    count = tree.numbers[leaf, SLOTS]
+    box, block = tree.boxes[node], tree.slots[leaf]
+    for axis in range(d + 2):
+        row = block[axis]
+        low, high = np.inf, -np.inf
+        for slot in range(count):
+            low, high = min(low, row[slot]), max(high, row[slot])
+        if axis < d:
+            box[axis], box[d + axis] = low, high
+        elif axis == d:
+            box[2 * d], box[2 * d + 1] = low, high
+        else:
+            box[2 * d + 2] = high
+
+
+@_inner
+def _pull(tree, node, d):
+    """The same from its children; whether anything changed."""
+    child, box = tree.links[node, _CHILD], tree.boxes[node]
+    left, right = tree.boxes[child], tree.boxes[child + 1]
+    changed = False
+    for column in range(2 * d + 3):
+        lowest = column < d or column == 2 * d
+        value = min(left[column], right[column]) if lowest else max(left[column], right[column])
+        if value != box[column]:
+            box[column] = value
+            changed = True
+    return changed
+
+
+@_inner
+def _tighten(tree, node, d):
+    """A leaf's node, and those above as far as anything changes."""
+    _summarise(tree, node, d)
+    node = tree.links[node, _PARENT]
+    while node >= 0 and _pull(tree, node, d):
+        node = tree.links[node, _PARENT]
+
+
+@_inner
+def _touch(tree, number):
+    place = tree.counts[_TOUCHED]
+    if place < len(tree.touched):
+        tree.touched[place] = number
+    tree.counts[_TOUCHED] = place + 1
+
+
+@_inner
+def _set_suppressor(samples, number, suppressor):
+    """Moves a sample from one suppressor's list to another's."""
+    before, following = samples[number, _PREVIOUS], samples[number, _NEXT]
+    old = samples[number, _SUPPRESSOR]
+    if old >= 0:
+        if before >= 0:
+            samples[before, _NEXT] = following
+        else:
+            samples[old, _FIRST] = following
+        if following >= 0:
+            samples[following, _PREVIOUS] = before
+    samples[number, _SUPPRESSOR], samples[number, _PREVIOUS], samples[number, _NEXT] = suppressor, _NONE, _NONE
+    if suppressor >= 0:
+        first = samples[suppressor, _FIRST]
+        samples[number, _NEXT] = first
+        if first >= 0:
+            samples[first, _PREVIOUS] = number
+        samples[suppressor, _FIRST] = number
+
+
+@_inner
+def _state(tree, number, x):
+    """The sample's state, into x; its cost."""
+    leaf, slot = divmod(tree.samples[number, _PLACE], SLOTS)
+    for axis in range(len(x)):
+        x[axis] = tree.slots[leaf, axis, slot]
+    return tree.slots[leaf, len(x), slot]
+
+
+@_inner
+def _nearest_better(tree, x, cost, number, d2):
+    """Squared distance to the nearest better sample, and its number; infinity and -1 if there is none.
+
+    Of children that are equally near the right one is looked at first: its samples cost more where states are equal.
+    """
+    d = len(x)
+    boxes, links = tree.boxes, tree.links
+    waiting, gaps = np.empty(_DEEPEST, np.int32), np.empty(_DEEPEST)
+    best, found, found_cost = np.inf, _NONE, -np.inf
+    waiting[0], gaps[0] = 0, 0.0
+    count = 1
+    while count:
+        count -= 1
+        node, gap = waiting[count], gaps[count]
+        if gap >= best or boxes[node, 2 * d] > cost:
+            continue
+        while links[node, _CHILD] >= 0:
+            left = links[node, _CHILD]
+            right = left + 1
+            left_gap = _box_distance(boxes, left, x) if boxes[left, 2 * d] <= cost else np.inf
+            right_gap = _box_distance(boxes, right, x) if boxes[right, 2 * d] <= cost else np.inf
+            if left_gap < right_gap:
+                node, gap, other, other_gap = left, left_gap, right, right_gap
+            else:
+                node, gap, other, other_gap = right, right_gap, left, left_gap
+            if other_gap < best:
+                waiting[count], gaps[count] = other, other_gap
+                count += 1
+            if not gap < best:
+                node = _NONE
+                break
+        if node < 0:
+            continue
+        leaf = links[node, _LEAF]
+        filled = tree.numbers[leaf, SLOTS]
+        _distances(tree.slots, leaf, filled, x, d2)
+        costs = tree.slots[leaf, d]
+        for slot in range(filled):
+            if d2[slot] <= best and costs[slot] <= cost:
+                other = tree.numbers[leaf, slot]
+                if costs[slot] == cost and other >= number:
+                    continue
+                if d2[slot] < best or costs[slot] > found_cost or (costs[slot] == found_cost and other > found):
+                    best, found, found_cost = d2[slot], other, costs[slot]
+    return best, found
+
+
+@_inner
+def _shrink_others(tree, x, cost, number, d2):
+    """Gives this sample as suppressor to the worse ones that it is nearer to than theirs."""
+    d = len(x)
+    boxes, links = tree.boxes, tree.links
+    waiting = np.empty(_DEEPEST, np.int32)
+    waiting[0] = 0
+    count = 1
+    while count:
+        count -= 1
+        node = waiting[count]
+        if boxes[node, 2 * d + 1] < cost or not _box_distance(boxes, node, x) < boxes[node, 2 * d + 2]:
+            continue
+        child = links[node, _CHILD]
+        if child >= 0:
+            waiting[count], waiting[count + 1] = child, child + 1
+            count += 2
+            continue
+        leaf = links[node, _LEAF]
+        filled = tree.numbers[leaf, SLOTS]
+        _distances(tree.slots, leaf, filled, x, d2)
+        block = tree.slots[leaf]
+        changed = False
+        for slot in range(filled):
+            if d2[slot] < block[d + 1, slot] and block[d, slot] >= cost:
+                other = tree.numbers[leaf, slot]
+                if other == number or (block[d, slot] == cost and other < number):
+                    continue
+                block[d + 1, slot] = tree.r2[other] = d2[slot]
+                _set_suppressor(tree.samples, other, number)
+                _touch(tree, other)
+                changed = True
+        if changed:
+            _tighten(tree, node, d)
+
+
+@_inner
+def _search(tree, number, x, d2):
+    """A sample's radius and suppressor from scratch."""
+    cost = _state(tree, number, x)
+    radius, suppressor = _nearest_better(tree, x, cost, number, d2)
+    leaf, slot = divmod(tree.samples[number, _PLACE], SLOTS)
+    tree.slots[leaf, len(x) + 1, slot] = tree.r2[number] = radius
+    _set_suppressor(tree.samples, number, suppressor)
+    _touch(tree, number)
+    _tighten(tree, tree.numbers[leaf, SLOTS + 1], len(x))
+
+
+@_inner
+def _new_leaf(tree, node):
+    leaf = tree.counts[_FREE_LEAF]
+    if leaf >= 0:
+        tree.counts[_FREE_LEAF] = tree.numbers[leaf, SLOTS + 1]
+    else:
+        leaf = tree.counts[_LEAVES]
+        tree.counts[_LEAVES] = leaf + 1
+    tree.numbers[leaf, SLOTS], tree.numbers[leaf, SLOTS + 1] = 0, node
+    tree.links[node, _CHILD], tree.links[node, _LEAF] = _NONE, leaf
+    return leaf
+
+
+@_inner
+def _new_pair(tree, parent):
+    left = tree.counts[_FREE_PAIR]
+    if left >= 0:
+        tree.counts[_FREE_PAIR] = tree.links[left, _PARENT]
+    else:
+        left = tree.counts[_NODES]
+        tree.counts[_NODES] = left + 2
+    tree.links[left, _PARENT] = tree.links[left + 1, _PARENT] = parent
+    tree.links[parent, _CHILD], tree.links[parent, _LEAF] = left, _NONE
+    return left
+
+
+@_inner
+def _put(tree, leaf, number, x, cost, radius):
+    slot, d = tree.numbers[leaf, SLOTS], len(x)
+    block = tree.slots[leaf]
+    for axis in range(d):
+        block[axis, slot] = x[axis]
+    block[d, slot], block[d + 1, slot] = cost, radius
+    tree.numbers[leaf, slot] = number
+    tree.numbers[leaf, SLOTS] = slot + 1
+    tree.samples[number, _PLACE] = leaf * SLOTS + slot
+
+
+@_inner
+def _key(axis, x, cost, number):
+    if axis < len(x):
+        return x[axis]
+    return cost if axis == len(x) else float(number)
+
+
+@_inner
+def _select(keys, order, start, middle, stop):
+    """Reorders so that no key before `middle` is larger than one from there on."""
+    low, high = start, stop - 1
+    while low < high:
+        pivot = keys[(low + high) // 2]
+        i, j = low, high
+        while i <= j:
+            while keys[i] < pivot:
+                i += 1
+            while pivot < keys[j]:
+                j -= 1
+            if i <= j:
+                keys[i], keys[j] = keys[j], keys[i]
+                order[i], order[j] = order[j], order[i]
+                i += 1
+                j -= 1
+        if middle <= j:
+            high = j
+        elif middle >= i:
+            low = i
+        else:
+            return
+
+
+@_inner
+def _widest(Z, costs, order, start, stop):
+    """The axis along which these samples are split: d for their costs, d + 1 for their numbers."""
+    d = Z.shape[1]
+    widest, axis = 0.0, d + 1
+    for column in range(d):
+        low = high = Z[order[start], column]
+        for row in range(start + 1, stop):
+            value = Z[order[row], column]
+            low, high = min(low, value), max(high, value)
+        if high - low > widest:
+            widest, axis = high - low, column
+    if axis == d + 1:
+        first = costs[order[start]]
+        for row in range(start + 1, stop):
+            if costs[order[row]] != first:
+                return d
+    return axis
+
+
+@_compiled
+def build(tree, root, Z, costs, r2, numbers):
+    """Puts samples under a node that has none, in balance.
+
+    Args:
+        tree: With room for them.
+        root: The node; its parents are told.
+        Z: (m, d) states.
+        costs: (m,).
+        r2: (m,) squared radii.
+        numbers: (m,).
+    """
+    m, d = Z.shape
+    order, keys = np.arange(m), np.empty(m)
+    made = np.empty(m // 4 + 3, np.int32)
+    made[0] = root
+    nodes = 1
+    waiting = np.empty((_DEEPEST, 3), np.int64)
+    waiting[0, 0], waiting[0, 1], waiting[0, 2] = root, 0, m
+    count = 1
+    while count:
+        count -= 1
+        node, start, stop = waiting[count]
+        tree.links[node, _COUNT] = stop - start
+        if stop - start <= _FILL:
+            leaf = _new_leaf(tree, node)
+            for row in range(start, stop):
+                index = order[row]
+                _put(tree, leaf, numbers[index], Z[index], costs[index], r2[index])
+            continue
+        axis = _widest(Z, costs, order, start, stop)
+        for row in range(start, stop):
+            index = order[row]
+            keys[row] = _key(axis, Z[index], costs[index], numbers[index])
+        middle = (start + stop) // 2
+        _select(keys, order, start, middle, stop)
+        left = _new_pair(tree, node)
+        tree.links[node, _AXIS] = axis
+        tree.boxes[node, 2 * d + 3] = keys[middle]
+        for child in range(2):
+            made[nodes] = left + child
+            nodes += 1
+            waiting[count, 0] = left + child
+            waiting[count, 1] = middle if child else start
+            waiting[count, 2] = stop if child else middle
+            count += 1
+    for place in range(nodes - 1, -1, -1):
+        node = made[place]
+        if tree.links[node, _CHILD] < 0:
+            _summarise(tree, node, d)
+        else:
+            _pull(tree, node, d)
+    node = tree.links[root, _PARENT]
+    while node >= 0 and _pull(tree, node, d):
+        node = tree.links[node, _PARENT]
+
+
+@_inner
+def _rebuild(tree, root, d):
+    """Builds a subtree anew; splits a full leaf."""
+    m = tree.links[root, _COUNT]
+    Z, costs, r2, numbers = np.empty((m, d)), np.empty(m), np.empty(m), np.empty(m, np.int64)
+    waiting = np.empty(_DEEPEST, np.int32)
+    waiting[0] = root
+    count, row = 1, 0
+    while count:
+        count -= 1
+        node = waiting[count]
+        child, leaf = tree.links[node, _CHILD], tree.links[node, _LEAF]
+        if child >= 0:
+            waiting[count], waiting[count + 1] = child, child + 1
+            count += 2
+            tree.links[child, _PARENT] = tree.counts[_FREE_PAIR]  # what a freed pair links to below stays to be read
+            tree.counts[_FREE_PAIR] = child
+            continue
+        for slot in range(tree.numbers[leaf, SLOTS]):
+            for axis in range(d):
+                Z[row, axis] = tree.slots[leaf, axis, slot]
+            costs[row], r2[row] = tree.slots[leaf, d, slot], tree.slots[leaf, d + 1, slot]
+            numbers[row] = tree.numbers[leaf, slot]
+            row += 1
+        tree.numbers[leaf, SLOTS + 1] = tree.counts[_FREE_LEAF]
+        tree.counts[_FREE_LEAF] = leaf
+    build(tree, root, Z, costs, r2, numbers)
+
+
+@_inner
+def _add(tree, number, x, cost, radius):
+    """Puts a sample into its leaf, splits it if it is full, and keeps the paths short."""
+    d = len(x)
+    node, depth = 0, 0
+    while True:
+        tree.links[node, _COUNT] += 1
+        child = tree.links[node, _CHILD]
+        if child < 0:
+            if tree.numbers[tree.links[node, _LEAF], SLOTS] < SLOTS:
+                break
+            tree.links[node, _COUNT] -= 1
+            _rebuild(tree, node, d)
+            continue
+        key = _key(tree.links[node, _AXIS], x, cost, number)
+        node = child + 1 if key >= tree.boxes[node, 2 * d + 3] else child
+        depth += 1
+    _put(tree, tree.links[node, _LEAF], number, x, cost, radius)
+    _tighten(tree, node, d)
+    total = tree.links[0, _COUNT]
+    tree.counts[_MOST] = max(tree.counts[_MOST], total)
+    if depth > 3.0 + 1.95 * np.log2(1.0 + total / _FILL):
+        while node > 0:
+            parent = tree.links[node, _PARENT]
+            if tree.links[node, _COUNT] > _UNBALANCED * tree.links[parent, _COUNT]:
+                _rebuild(tree, parent, d)
+                return
+            node = parent
+
+
+@_compiled
+def insert(tree, first, Z, costs):
+    """Adds samples numbered from `first`, in turn; the tree must have room for them."""
+    d2 = np.empty(SLOTS)
+    for row in range(len(costs)):
+        number, x, cost = first + row, Z[row], costs[row]
+        for column in range(5):
+            tree.samples[number, column] = _NONE
+        radius, suppressor = _nearest_better(tree, x, cost, number, d2)
+        tree.r2[number] = radius
+        _shrink_others(tree, x, cost, number, d2)
+        _add(tree, number, x, cost, radius)
+        _set_suppressor(tree.samples, number, suppressor)
+        _touch(tree, number)
+
+
+@_compiled
+def remove(tree, numbers):
+    """Takes samples out; those that they suppressed find other suppressors."""
+    d = tree.slots.shape[1] - 2
+    x, d2 = np.empty(d), np.empty(SLOTS)
+    for number in numbers:
+        leaf, slot = divmod(tree.samples[number, _PLACE], SLOTS)
+        last = tree.numbers[leaf, SLOTS] - 1
+        if slot != last:
+            moved = tree.numbers[leaf, last]
+            for row in range(d + 2):
+                tree.slots[leaf, row, slot] = tree.slots[leaf, row, last]
+            tree.numbers[leaf, slot] = moved
+            tree.samples[moved, _PLACE] = leaf * SLOTS + slot
+        tree.numbers[leaf, SLOTS] = last
+        node = tree.numbers[leaf, SLOTS + 1]
+        _tighten(tree, node, d)
+        while node >= 0:
+            tree.links[node, _COUNT] -= 1
+            node = tree.links[node, _PARENT]
+        _set_suppressor(tree.samples, number, _NONE)
+        tree.samples[number, _PLACE], tree.r2[number] = _NONE, -1.0
+        _touch(tree, number)
+        while tree.samples[number, _FIRST] >= 0:
+            _search(tree, tree.samples[number, _FIRST], x, d2)
+    if 2 * tree.links[0, _COUNT] < tree.counts[_MOST]:
+        _rebuild(tree, 0, d)
+        tree.counts[_MOST] = tree.links[0, _COUNT]
+
+
+@_compiled
+def recost(tree, numbers, costs):
+    """Changes costs, in turn."""
+    d = tree.slots.shape[1] - 2
+    x, d2 = np.empty(d), np.empty(SLOTS)
+    for row in range(len(numbers)):
+        number, cost = numbers[row], costs[row]
+        leaf, slot = divmod(tree.samples[number, _PLACE], SLOTS)
+        tree.slots[leaf, d, slot] = cost
+        _tighten(tree, tree.numbers[leaf, SLOTS + 1], d)
+        other = tree.samples[number, _FIRST]
+        while other >= 0:
+            following = tree.samples[other, _NEXT]
+            theirs = _state(tree, other, x)
+            if theirs < cost or (theirs == cost and other < number):
+                _search(tree, other, x, d2)
+            other = following
+        _search(tree, number, x, d2)
+        _state(tree, number, x)
+        _shrink_others(tree, x, cost, number, d2)
+
+
+@_compiled
+def fill_radii(tree, first, last):
+    """Finds all radii of the samples in the leaves from `first` on, before `last`, which have none."""
+    d = tree.slots.shape[1] - 2
+    x, d2 = np.empty(d), np.empty(SLOTS)
+    for leaf in range(first, last):
+        for slot in range(tree.numbers[leaf, SLOTS]):
+            number = tree.numbers[leaf, slot]
+            cost = _state(tree, number, x)
+            radius, suppressor = _nearest_better(tree, x, cost, number, d2)
+            tree.slots[leaf, d + 1, slot] = tree.r2[number] = radius
+            _set_suppressor(tree.samples, number, suppressor)
+        _tighten(tree, tree.numbers[leaf, SLOTS + 1], d)
+
+
+@_compiled
+def link(tree, numbers, suppressors):
+    """Notes suppressors (m,) of samples (m,) that have none; -1 stays none."""
+    for row in range(len(numbers)):
+        _set_suppressor(tree.samples, numbers[row], suppressors[row])

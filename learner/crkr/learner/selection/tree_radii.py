@@ -1,0 +1,139 @@
+"""Suppression radii kept in a priority k-d tree: a step takes about log n where `EagerRadii` takes n."""
+
+from __future__ import annotations
+
+from typing import Final, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from crkr.learner.selection import priority_tree
+from crkr.learner.selection.anms_batch import Indices
+from crkr.learner.selection.priority_tree import SLOTS, Tree
+from crkr.learner.selection.selector import Radii
+from crkr.protocol import Array
+
+__all__ = ["TreeRadii"]
+
+_FEWEST_IN_LEAF: Final = 12  # when it is made
+_SPARE: Final = 64  # leaves
+_NOTED: Final = 4096  # changed radii that are told one by one
+_FIRST_CAPACITY: Final = 1024  # samples
+
+
+@final
+class TreeRadii:
+    """What `EagerRadii` keeps, by the compiled functions of `priority_tree`.
+
+    Its arrays have room for twice the samples; pages that none has touched cost no memory.
+
+    Args:
+        dimensions: d.
+    """
+
+    def __init__(self, dimensions: int) -> None:
+        self._d = dimensions
+        self.rebuild(np.empty((0, dimensions)), np.empty(0))
+
+    def __len__(self) -> int:
+        return self._count
+
+    @property
+    def r2(self) -> Array:
+        """(n,) squared radii; -1: removed."""
+        return self._tree.r2[: self._count]
+
+    @property
+    def suppressors(self) -> Indices:
+        """(n,) numbers of the suppressors; -1: none."""
+        return np.asarray(self._tree.samples[: self._count, 1])
+
+    def samples(self) -> tuple[Array, Array]:
+        """States (n, d) and costs (n,); a cost of NaN marks a removed sample."""
+        Z, costs = np.zeros((self._count, self._d)), np.full(self._count, np.nan)
+        place = self._tree.samples[: self._count, 0]
+        alive = np.flatnonzero(place >= 0)
+        leaf, slot = np.divmod(place[alive], SLOTS)
+        for axis in range(self._d):
+            Z[alive, axis] = self._tree.slots[leaf, axis, slot]
+        costs[alive] = self._tree.slots[leaf, self._d, slot]
+        return Z, costs
+
+    def extend(self, Z: Array, costs: Array) -> Indices | None:
+        """Add samples; numbers of those whose radius is another now, None: too many to name."""
+        first, added = self._count, len(costs)
+        if added > first + _FIRST_CAPACITY:
+            before = self.samples()
+            self.rebuild(np.concatenate([before[0], Z]), np.concatenate([before[1], costs]))
+            return None
+        self._reserve(first + added)
+        self._count += added
+        priority_tree.insert(self._tree, first, np.array(Z), np.array(costs))
+        return self._touched()
+
+    def remove(self, gone: Indices) -> Indices | None:
+        """Forget samples; returns what `extend` does."""
+        priority_tree.remove(self._tree, np.array(gone, dtype=np.int64))
+        return self._touched()
+
+    def recost(self, changed: Indices, costs: Array) -> Indices | None:
+        """Change costs; returns what `extend` does."""
+        priority_tree.recost(self._tree, np.array(changed, dtype=np.int64), np.array(costs, dtype=np.float64))
+        return self._touched()
+
+    def rebuild(self, Z: Array, costs: Array, radii: Radii | None = None) -> None:
+        """Take these samples; without their radii, in about n log n."""
+        self._count = len(costs)
+        self._tree = _empty(self._d, max(self._count, _FIRST_CAPACITY))
+        tree, alive = self._tree, np.flatnonzero(~np.isnan(costs))
+        tree.samples[: self._count], tree.r2[: self._count] = -1, -1.0
+        squared = np.zeros(len(alive)) if radii is None else np.array(radii.squared)
+        priority_tree.build(tree, 0, np.array(Z[alive]), np.array(costs[alive]), squared, alive)
+        tree.counts[4] = len(alive)
+        if radii is None:
+            priority_tree.fill_radii(tree, 0, int(tree.counts[1]))
+        else:
+            tree.r2[alive] = squared
+            priority_tree.link(tree, alive, np.where(radii.suppressor < 0, -1, alive[radii.suppressor]))
+
+    def _touched(self) -> Indices | None:
+        counts = self._tree.counts
+        touched, counts[5] = int(counts[5]), 0
+        return self._tree.touched[:touched].copy() if touched <= _NOTED else None
+
+    def _reserve(self, count: int) -> None:
+        """Room for `count` samples and all nodes and leaves that they can take."""
+        if count > len(self._tree.r2):
+            old, grown = self._tree, _empty(self._d, max(count, 2 * len(self._tree.r2)))
+            nodes, leaves = old.counts[:2].tolist()
+            for before, after, used in (
+                (old.boxes, grown.boxes, nodes),
+                (old.links, grown.links, nodes),
+                (old.slots, grown.slots, leaves),
+                (old.numbers, grown.numbers, leaves),
+                (old.samples, grown.samples, self._count),
+                (old.r2, grown.r2, self._count),
+                (old.counts, grown.counts, len(old.counts)),
+            ):
+                after[:used] = before[:used]
+            self._tree = grown
+
+
+def _empty(d: int, samples: int) -> Tree:
+    leaves = samples // _FEWEST_IN_LEAF + _SPARE
+    return Tree(
+        boxes=np.empty((2 * leaves, 2 * d + 4)),
+        links=_links(2 * leaves),
+        slots=np.empty((leaves, d + 2, SLOTS)),
+        numbers=np.empty((leaves, SLOTS + 2), dtype=np.int32),
+        samples=np.empty((samples, 5), dtype=np.int32),
+        r2=np.empty(samples),
+        counts=np.array([1, 0, -1, -1, 0, 0], dtype=np.int64),
+        touched=np.empty(_NOTED, dtype=np.int64),
+    )
+
+
+def _links(nodes: int) -> NDArray[np.int32]:
+    links = np.empty((nodes, 5), dtype=np.int32)
+    links[0] = -1
+    return links

@@ -76,6 +76,7 @@ class Feed:
 
     Args:
         view: The display.
+        progress: What counts the run; a new one unless given.
 
     Attributes:
         progress: The run so far.
@@ -84,8 +85,8 @@ class Feed:
         dropped: Pictures that waited too long for their trial, or are not the first one of it.
     """
 
-    def __init__(self, view: View) -> None:
-        self.progress = Progress()
+    def __init__(self, view: View, progress: Progress | None = None) -> None:
+        self.progress = progress or Progress()
         self.skipped = 0
         self.refused = 0
         self.dropped = 0

@@ -26,6 +26,7 @@ class Row:
     """One trial of the log and its place in the run.
 
     Attributes:
+        stored: The trial.
         seq: Its log position.
         trial: Training trials (kinds trial and failed) up to and including this one.
         epoch: The epoch it belongs to; for an epoch's evaluation the one that it closes.
@@ -40,6 +41,7 @@ class Row:
         shares: Training trials only: share of the last 50 of them by reason.
     """
 
+    stored: StoredTrial
     seq: int
     trial: int
     epoch: int
@@ -98,10 +100,10 @@ class Window:
         if len(self._entries) == self._size:
             _, met, gone = self._entries.popleft()
             self._tally.remove(met)
-            self.reasons.subtract([gone])
+            self.reasons[gone] -= 1
         self._entries.append((cost, outcomes, reason))
         self._tally.add(outcomes)
-        self.reasons.update([reason])
+        self.reasons[reason] += 1
 
     def __len__(self) -> int:
         return len(self._entries)
@@ -124,6 +126,9 @@ class Window:
 class Progress:
     """Counts of a run; each trial is added once, in the order of seq.
 
+    Args:
+        running: Whether rows carry means over the last 50 trials.
+
     Attributes:
         seq: Log position of the newest.
         trials: Training trials (kinds trial and failed).
@@ -136,7 +141,8 @@ class Progress:
         window: The last 50 training trials.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, running: bool = True) -> None:
+        self._running = running
         self.seq = 0
         self.trials = 0
         self.epoch = 0
@@ -170,24 +176,16 @@ class Progress:
         epoch = self.epoch if stated is None else stated
         if trial.kind == "evaluation" and stated is not None:
             self._evaluate(epoch, self._known_to(trial.model_version), outcomes, now)
-        if not trains:
-            return Row(stored.seq, self.trials, epoch, trial.kind, worker, trial.cost, trial.success, reason, outcomes)
-        self.reasons[reason] += 1
-        self.window.add(trial.cost, outcomes, reason)
-        return Row(
-            stored.seq,
-            self.trials,
-            epoch,
-            trial.kind,
-            worker,
-            trial.cost,
-            trial.success,
-            reason,
-            outcomes,
-            self.window.mean_cost(),
-            {name: rate for name in self.criteria if (rate := self.window.rate(name)) is not None},
-            {name: self.window.share(name) for name in self.reasons},
-        )
+        if trains:
+            self.reasons[reason] += 1
+            self.window.add(trial.cost, outcomes, reason)
+        means = self._means() if trains and self._running else ()
+        told = (stored.seq, self.trials, epoch, trial.kind, worker, trial.cost, trial.success, reason, outcomes)
+        return Row(stored, *told, *means)
+
+    def _means(self) -> tuple[float | None, dict[str, float], dict[str, float]]:
+        rates = {name: rate for name in self.criteria if (rate := self.window.rate(name)) is not None}
+        return self.window.mean_cost(), rates, {name: self.window.share(name) for name in self.reasons}
 
     def finished_epochs(self, now: float) -> list[EpochResult]:
         """Evaluations that are newly complete: as many balls as the one before, or no new ball for some seconds."""

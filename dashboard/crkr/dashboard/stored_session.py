@@ -67,7 +67,13 @@ def open_run(directory: Path, task: str) -> StoredRun:
     return run
 
 
-def replay(run: StoredRun, view: View, goes_on: Callable[[], bool], done: Callable[[int], None]) -> Progress:
+def replay(
+    run: StoredRun,
+    view: View,
+    goes_on: Callable[[], bool],
+    done: Callable[[int], None],
+    progress: Progress | None = None,
+) -> Progress:
     """Show every stored trial on a view, while `goes_on`; returns the run as far as it was shown.
 
     Args:
@@ -75,11 +81,12 @@ def replay(run: StoredRun, view: View, goes_on: Callable[[], bool], done: Callab
         view: The display.
         goes_on: Called before each page.
         done: Called with the log position after each page.
+        progress: What counts the run; a new one unless given.
 
     Raises:
         StorageError: The log is damaged.
     """
-    progress, now = Progress(), 0.0
+    progress, now = progress or Progress(), 0.0
     for trials, status in run.pages(max(SMALLEST_PAGE, run.last // PAGES)):
         if not goes_on():
             break

@@ -16,7 +16,7 @@ GROUP: Final = "crkr.commands"
 _PANELS: Final[Mapping[str, tuple[str, ...]]] = {
     "Run": ("demo", "server", "workers", "watch"),
     "Ask and report": ("create", "tasks", "status", "predict", "report", "ask", "trials", "explain", "doctor"),
-    "Judge": ("evaluate", "oracle", "render", "plot", "experiment", "bench"),
+    "Judge": ("page", "evaluate", "oracle", "render", "plot", "experiment", "bench"),
     "Manage a task": ("amend", "undo", "recost", "remove", "refit", "configure", "archive"),
     "Data": ("export", "import", "backup", "replay"),
 }

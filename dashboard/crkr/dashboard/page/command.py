@@ -1,0 +1,61 @@
+"""`crkr page`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Final
+
+import typer
+
+from crkr.client import Client
+from crkr.client.cli.console import stderr
+from crkr.client.cli.options import Connect, Overwrite, Timeout, ZenohConfig
+from crkr.client.cli.output_file import check_output, output_file
+
+__all__ = ["page"]
+
+PLAYED: Final = 24  # trials of which the best and the worst are shown
+
+
+def page(
+    task: Annotated[str, typer.Argument(help="Name of the task, e.g. table-tennis.")],
+    out: Annotated[Path, typer.Option(dir_okay=False, metavar="REPORT.html", help="The file to write.")] = Path(
+        "report.html"
+    ),
+    overwrite: Overwrite = False,
+    skill: Annotated[
+        str | None,
+        typer.Option(help="Play trials by this skill, and show the best and the worst; your own as file.py:factory."),
+    ] = None,
+    replay: Annotated[
+        Path | None,
+        typer.Option(metavar="DATA-DIR", help="Read a server's data directory; no server is needed."),
+    ] = None,
+    connect: Connect = None,
+    timeout: Timeout = 5.0,
+    zenoh_config: ZenohConfig = None,
+) -> None:
+    """Write one web page about a task: how well it is learned, and where and how it fails.
+
+    The page is a single file. It opens without a network and on a phone. With
+    --skill it also shows the best and the worst of some trials, which are
+    played for it and not stored.
+
+    Example: crkr page table-tennis --skill table-tennis --out report.html
+    """
+    from crkr.dashboard.page.report import add_film, read_stored, read_task, written
+
+    if replay is not None and skill is not None:
+        raise typer.BadParameter("a skill plays by a server's policy; leave out --skill or --replay")
+    check_output(out, overwrite=overwrite)
+    if replay is not None:
+        view = read_stored(replay, task)
+    else:
+        with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
+            asked = client.task(task)
+            view = read_task(asked)
+            if skill is not None:
+                add_film(view, asked, skill, PLAYED)
+    with output_file(out, overwrite=overwrite) as partial:
+        partial.write_text(written(view), encoding="utf-8")
+    stderr.print(f"{out}: {view.figures.progress.trials} training trials of task {task}")

@@ -1,0 +1,127 @@
+"""A run as the sections of a page, static or live."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from typing import Any, Final, final
+
+from crkr.dashboard.page import sections, tables
+from crkr.dashboard.page.figures import Figures
+from crkr.dashboard.page.film import Film
+from crkr.dashboard.page.markup import Element, number, tag
+from crkr.dashboard.progress import EpochResult, Progress, Row
+from crkr.dashboard.telemetry import Telemetry
+from crkr.protocol import TaskSpec
+
+__all__ = ["PageView"]
+
+LEARNS_S: Final = 20.0  # since the newest trial
+
+
+@final
+class PageView:
+    """A run as the sections of a page; implements `View`.
+
+    Args:
+        spec: Of the task.
+        progress: What numbers its trials.
+        live: Whether the page follows the run.
+
+    Attributes:
+        figures: What is shown of the trials.
+        film: The best and the worst of those that came with a motion.
+        answered: Whether the server answers.
+    """
+
+    def __init__(self, spec: TaskSpec, progress: Progress, *, live: bool = False) -> None:
+        self.figures = Figures(spec, progress)
+        self.film = Film()
+        self.answered = True
+        self._live = live
+        self._status: Mapping[str, Any] = {}
+        self._description = spec.description
+
+    def task(self, description: str) -> None:
+        """Keep the description."""
+        self._description = description or self._description
+
+    def trials(self, rows: Sequence[Row], progress: Progress) -> None:
+        """Count trials."""
+        del progress  # Unused: the figures have it.
+        self.figures.add(rows)
+
+    def picture(self, row: Row, telemetry: Telemetry) -> None:
+        """Consider a trial for the film."""
+        if telemetry.scene is not None:
+            self.film.show(telemetry.scene)
+        if telemetry.trace is not None and row.kind in ("trial", "evaluation"):
+            cost = "" if row.cost is None else f", cost {number(row.cost, 2)}"
+            caption = f"trial {number(row.trial)}, {row.reason}{cost}"
+            self.film.add(caption, telemetry.success, row.cost, time.monotonic(), telemetry.trace)
+
+    def epoch(self, result: EpochResult, progress: Progress) -> None:
+        """Show nothing: the figures have it."""
+
+    def status(self, status: Mapping[str, Any], progress: Progress, now: float) -> None:
+        """Keep the server's status."""
+        del progress, now  # Unused.
+        self._status = status
+        self.answered = True
+
+    def say(self, message: str, *, warning: bool = False) -> None:
+        """Note that the server is lost, or answers again."""
+        del message  # Unused.
+        self.answered = not warning
+
+    def tick(self, now: float, progress: Progress) -> None:
+        """Show nothing: a page is made when it is asked for."""
+
+    @property
+    def version(self) -> tuple[int, int]:
+        """What changes with everything that the page shows, times aside."""
+        return self.figures.progress.seq, self.film.version
+
+    def server_time(self) -> float:
+        """The present time by the server's clock [unix s]; this machine's where an older server does not tell."""
+        told = self._status.get("time")
+        return float(told) if isinstance(told, int | float) else time.time()
+
+    def parts(self) -> list[Element]:
+        """Header and sections, each with an id, in their order."""
+        figures, status, now = self.figures, self._status, self.server_time()
+        made = [
+            self._head(now),
+            tables.tiles(figures, status, now),
+            sections.success(figures),
+            sections.reasons(figures),
+            sections.regions(figures),
+            self.film.section(),
+            sections.outcomes(figures),
+            sections.costs(figures),
+            tables.workers(figures, status, now),
+            tables.settings(figures.spec, status),
+        ]
+        return [part for part in made if part is not None]
+
+    def _head(self, now: float) -> Element:
+        return tag(
+            "div",
+            tag("h1", self.figures.spec.name, self._pill(now)),
+            tag("p", self._description, klass="about") if self._description else None,
+            sections.summary(self.figures),
+            id="head",
+        )
+
+    def _pill(self, now: float) -> Element:
+        stored, read = self._status.get("seq"), self.figures.progress.seq
+        last = self.figures.last
+        if not self._live:
+            return tag("span", tables.stamp(now), klass="pill")
+        if not self.answered:
+            return tag("span", "server does not answer", klass="pill off")
+        if isinstance(stored, int) and stored > read + 2000:
+            return tag("span", f"reading the log: {100 * read // stored}\u202f%", klass="pill")
+        if last is not None and now - last < LEARNS_S:
+            return tag("span", "learning", klass="pill on")
+        return tag("span", "idle" if last is None else f"idle, last trial {tables.ago(now - last)}", klass="pill")

@@ -56,7 +56,7 @@ from crkr.protocol.messages.sizes import check_model_fits, most_active, most_sta
 from crkr.protocol.messages.telemetry import MAX_TELEMETRY_BYTES, Geom, Trace, geoms_from_wire, geoms_to_wire
 from crkr.protocol.plain_text import LogFormatter, printable
 from crkr.protocol.specification.dimensions import GoalDimension, OutcomeEntry, StateDimension
-from crkr.protocol.specification.limits import MOST_ACTIVE, MOST_KEPT, refuse_absurd
+from crkr.protocol.specification.limits import MOST_ACTIVE, MOST_KEPT, MOST_NEIGHBOURS, refuse_absurd
 from crkr.protocol.specification.settings import Exploration, KernelSettings
 from crkr.protocol.specification.task_spec import CHANGEABLE, TaskSpec
 from crkr.protocol.trial import AMENDABLE, KINDS, Trial
@@ -72,6 +72,7 @@ __all__ = [
     "MAX_TRIALS",
     "MOST_ACTIVE",
     "MOST_KEPT",
+    "MOST_NEIGHBOURS",
     "PROTOCOL_VERSION",
     "SERVER_VERBS",
     "TASK_VERBS",

@@ -79,3 +79,25 @@ def test_success_probabilities_are_near_what_happens(spec: TaskSpec) -> None:
     told = learner.predict(np.random.default_rng(5).uniform(-0.5, 0.5, (200, 2))).success_probability
     assert told is not None
     assert abs(float(told.mean()) - rate(learner, 0.0)) < 0.1
+
+
+def test_what_a_removal_leaves_for_later_is_worked_out_in_any_steps(spec: TaskSpec) -> None:
+    at_once, in_steps = Learner(spec), Learner(spec)
+    for learner in (at_once, in_steps):
+        train(learner, 0, 250)
+        assert learner.model.explorer.prepare()
+        learner.remove([training_id("t", 0, 1, 249)])
+        assert not learner.model.explorer.prepare()
+    explorer, steps = in_steps.model.explorer, 1
+    while not explorer.prepare(7):
+        steps += 1
+    assert steps > 20
+    for first in (250, 260):
+        expected, found = (learner.predict(np.zeros((3, 2))) for learner in (at_once, in_steps))
+        assert expected.success_probability is not None
+        assert np.isfinite(expected.success_probability).all()
+        for name in ("goals", "success_probability", "predicted_outcome_sd"):
+            np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
+        for learner in (at_once, in_steps):
+            train(learner, first, 10)
+    assert at_once.drift == in_steps.drift

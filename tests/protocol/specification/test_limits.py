@@ -48,6 +48,29 @@ def test_an_absurd_number_is_refused_by_the_name_of_its_field(field: str) -> Non
     assert refused.value.message.startswith(f"{field} must be" if field != "exploration.neighbours" else field)
 
 
+@pytest.mark.parametrize(
+    ("groups", "exploration", "fits"),
+    [
+        (3, {"candidates": 1000, "neighbours": 100}, True),
+        (40, {"candidates": 32, "neighbours": 100}, True),
+        (1, {"candidates": 1000, "neighbours": 200}, True),
+        (20, {"candidates": 1000, "neighbours": 200}, False),
+        (256, {"candidates": 0, "neighbours": 200}, False),
+        (256, {"candidates": 1000, "neighbours": 50}, False),
+    ],
+)
+def test_a_prediction_that_would_hold_others_up_is_refused(
+    groups: int, exploration: dict[str, Any], fits: bool
+) -> None:
+    outcome = [{**OUTCOME, "name": f"error {number}"} for number in range(groups)]
+    spec = TaskSpec.from_dict({**PLAIN, "outcome": outcome, "exploration": {"type": "outcome", **exploration}})
+    if fits:
+        refuse_absurd(spec)
+        return
+    with pytest.raises(Invalid, match=rf"neighbours are too many for {groups} groups.* multiplications"):
+        refuse_absurd(spec)
+
+
 def test_more_temperatures_than_anyone_needs_are_refused() -> None:
     with pytest.raises(Invalid, match="at most 64"):
         refuse_absurd(TaskSpec.from_dict({**PLAIN, "exploration": {"temperature": [0.1] * 65}}))

@@ -165,3 +165,32 @@ def test_questions_of_little_work_overtake_guided_ones_about_many_states(
     assert len(answers) < 60
     processes.wait_until(lambda: len(answers) == 60)
     assert all(answer.ok is not None for answer in answers)
+
+
+def test_what_a_restart_leaves_for_later_holds_up_no_other_task(
+    start_server: Callable[..., Server],
+    connect: Callable[[str], Ask],
+    plain: Callable[[str], zenoh.Session],
+    processes: Any,
+) -> None:
+    server = start_server()
+    ask = connect(server.endpoint)
+    for name, count in (("aim", 300), ("other", 20)):
+        ask("rpc/create_task", specification(name))
+        ask(f"task/{name}/rpc/report", {"trials": trials(count), "wait": True})
+    asked = {"states": [0.5, 0.0], "trial_ids": IDS[:1]}
+    before = ask("task/aim/rpc/predict", asked)
+    server.process.kill()
+    server.process.wait(timeout=60)
+    endpoint = start_server().endpoint
+    ask, answers = connect(endpoint), list[zenoh.Reply]()
+    ask("task/other/rpc/predict", asked)
+    plain(endpoint).get(f"{PREFIX}task/aim/rpc/predict", answers.append, payload=msgpack.packb(asked), timeout=60.0)
+    for _ in range(5):
+        ask("task/other/rpc/predict", asked)
+    assert answers == []
+    processes.wait_until(lambda: len(answers) == 1)
+    [answer] = answers
+    assert answer.ok is not None
+    after = msgpack.unpackb(answer.ok.payload.to_bytes())
+    assert {**after, "compute_us": 0} == {**before, "compute_us": 0}

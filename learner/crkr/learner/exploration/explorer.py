@@ -50,6 +50,10 @@ class Explorer(Protocol):
         """Goals (p,) or (b, p) to start from in these states while nothing has succeeded; asked only if it guides."""
         ...
 
+    def prepare(self, trials: int = 0) -> bool:
+        """Work off at most so many trials that answers wait for; True once none is left. For one thread at a time."""
+        ...
+
     @property
     def searched(self) -> int:
         """How many stored trials each state is compared with: what an answer costs beyond its regression grows so."""
@@ -98,6 +102,11 @@ class GaussianExplorer:
     def best_tried(self, states: Array) -> Array:
         """The middle of the bounds."""
         return np.broadcast_to(self.low / 2 + self.high / 2, (*states.shape[:-1], len(self.low))).copy()
+
+    def prepare(self, trials: int = 0) -> bool:
+        """Nothing is left."""
+        del trials  # Unused; the interface's.
+        return True
 
     @property
     def searched(self) -> int:

@@ -96,6 +96,10 @@ class OutcomeExplorer:
         """Once enough outcomes were observed."""
         return bool(self.groups)
 
+    def prepare(self, trials: int = 0) -> bool:
+        """Work on how far the model may be believed."""
+        return not self.guides or self.calibration.advance(trials)
+
     @property
     def searched(self) -> int:
         """The tried goals, once enough outcomes were observed."""

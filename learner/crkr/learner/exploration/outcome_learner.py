@@ -61,7 +61,7 @@ class OutcomeLearner:
         self._store, self._settings, self._scales = store, spec.exploration, OutcomeScales.of(spec)
         self._index = OutcomeIndex(self._scales, store)
         self._record = PrequentialRecord(self._settings, self._scales)
-        self._behind: list[tuple[ObservedTrials, ObservedTrials]] = []  # that the record has still to note
+        self._deferred: DeferredCalibration | None = None  # what gives the record
         self._restarts = 0
         self._last_restart: int | None = None
         self.explorer = OutcomeExplorer.of(spec, self._scales, self._index.snapshot())
@@ -69,6 +69,8 @@ class OutcomeLearner:
     @property
     def drift(self) -> Drift:
         """How far the newest trials are from what was expected of them."""
+        if self._deferred is not None:
+            return Drift(self._restarts, self._last_restart, 0.0, due=False)
         record = self._record
         return Drift(self._restarts, self._last_restart, record.drift_score, self._settings.drift and record.drifted)
 
@@ -78,8 +80,9 @@ class OutcomeLearner:
         if not new:
             return
         self._index.extend(rows)
-        self._record.extend([*self._behind, *self._steps(new)])
-        self._behind = []
+        if self._deferred is not None:
+            self._record, self._deferred = self._deferred.record(), None
+        self._record.extend(self._steps(new))
         self._renew(self._record.calibration)
 
     def remove(self, rows: Sequence[int]) -> None:
@@ -94,16 +97,9 @@ class OutcomeLearner:
         tried = usable[~self._store.demonstrated(usable)]
         looked_back = min(LOOKED_BACK, len(tried))
         first = int(np.searchsorted(usable, tried[-looked_back])) if looked_back else len(usable)
-        self._behind = self._steps(len(usable) - first)
-        self._record = PrequentialRecord(self._settings, self._scales, len(tried) - looked_back)
-        settings, scales, count, behind = self._settings, self._scales, len(tried) - looked_back, self._behind
-
-        def calibration() -> Calibration:
-            record = PrequentialRecord(settings, scales, count)
-            record.extend(behind)
-            return record.calibration
-
-        self._renew(DeferredCalibration(calibration))
+        steps = self._steps(len(usable) - first)
+        self._deferred = DeferredCalibration(self._settings, self._scales, len(tried) - looked_back, steps)
+        self._renew(self._deferred)
 
     def restart(self, seq: int, *, rebuild: bool) -> None:
         """Forget all but the newest trials: the robot has changed.

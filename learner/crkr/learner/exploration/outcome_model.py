@@ -23,9 +23,9 @@ from crkr.learner.exploration.outcome_neighbours import nearest
 from crkr.learner.exploration.outcome_posterior import OutcomeLine
 from crkr.learner.exploration.outcome_scales import GOAL_SHARE, OutcomeScales
 from crkr.learner.selection.anms_batch import Indices
-from crkr.protocol import Array
+from crkr.protocol import MOST_NEIGHBOURS, Array
 
-__all__ = ["MOST_NEIGHBOURS", "OutcomeModel", "Prospect"]
+__all__ = ["OutcomeModel", "Prospect"]
 
 # Constants found on logs of several tasks; see docs/outcomes.md. Outcomes are in tolerances, steps in the metric.
 _OUTCOME: Final = StepKernel(constant=900.0, linear=100.0, bend=100.0, reach=5.0, noise=0.2)
@@ -35,7 +35,6 @@ _REFUSED: Final = -2.0
 _THRESHOLD: Final = -0.5
 _WIDTH: Final = 0.3  # of the probit
 _SAFE: Final = -0.05  # r above which a goal need not be moved to be executed
-MOST_NEIGHBOURS: Final = 200  # a fit takes the cube of them
 
 
 @final

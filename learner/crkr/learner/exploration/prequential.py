@@ -8,7 +8,7 @@ only, so that it does not matter how trials were grouped on their way here.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final, NamedTuple, final
 
@@ -22,6 +22,7 @@ from crkr.protocol import Array, Exploration
 
 __all__ = ["LOOKED_BACK", "Calibration", "DeferredCalibration", "PrequentialRecord", "features"]
 
+_Step = tuple[ObservedTrials, ObservedTrials]
 _KEPT: Final = 400
 _FITTED: Final = 200  # newest trials that the calibration is fitted to
 _EVERY: Final = 10  # trials between two fits of it
@@ -59,27 +60,10 @@ class Calibration:
         """Itself."""
         return self
 
-
-@final
-class DeferredCalibration:
-    """A calibration that is worked out when it is first asked for, as after a restart.
-
-    Threads that ask at the same moment may all work it out, each to the same numbers.
-
-    Args:
-        make: Works it out, from data that never change.
-    """
-
-    def __init__(self, make: Callable[[], Calibration]) -> None:
-        self._make = make
-        self._made: Calibration | None = None
-
-    def get(self) -> Calibration:
-        """The calibration."""
-        made = self._made
-        if made is None:
-            made = self._made = self._make()
-        return made
+    def advance(self, trials: int) -> bool:
+        """Whether it is worked out: True."""
+        del trials  # unused
+        return True
 
 
 class _Expected(NamedTuple):
@@ -124,7 +108,7 @@ class PrequentialRecord:
         self._cusum = 0.0
         self.calibration = Calibration()
 
-    def extend(self, each: Iterable[tuple[ObservedTrials, ObservedTrials]]) -> None:
+    def extend(self, each: Iterable[_Step]) -> None:
         """Note trials: for each, those that it is predicted from, and the same with it as the last one."""
         for before, after in each:
             if not after.shown[-1]:
@@ -171,6 +155,53 @@ class PrequentialRecord:
             return
         usual = max(float(np.mean(earlier)), _LEAST_USUAL)
         self._cusum = max(0.0, self._cusum + residual - usual - _ALLOWANCE)
+
+
+@final
+class DeferredCalibration:
+    """A calibration that is worked out when it is needed, as after a restart.
+
+    Threads that call `get` at the same moment may all work it out, each to the same numbers.
+
+    Args:
+        settings: The task's `exploration`.
+        scales: Its units.
+        count: Trials that came before the steps.
+        steps: What is noted, as `PrequentialRecord.extend` takes it.
+    """
+
+    def __init__(self, settings: Exploration, scales: OutcomeScales, count: int, steps: Sequence[_Step]) -> None:
+        self._settings, self._scales, self._count, self._steps = settings, scales, count, steps
+        self._record, self._noted = self._empty(), 0
+        self._made: tuple[PrequentialRecord, Calibration] | None = None
+
+    def get(self) -> Calibration:
+        """The calibration."""
+        return self._finished()[1]
+
+    def record(self) -> PrequentialRecord:
+        """The record behind it, for one caller, who may extend it: what `get` returns stays."""
+        return self._finished()[0]
+
+    def advance(self, trials: int) -> bool:
+        """Note at most so many more trials; True once it is worked out. For one thread at a time."""
+        if self._made is None:
+            first, self._noted = self._noted, min(self._noted + trials, len(self._steps))
+            self._record.extend(self._steps[first : self._noted])
+            if self._noted == len(self._steps):
+                self._made = self._record, self._record.calibration
+        return self._made is not None
+
+    def _finished(self) -> tuple[PrequentialRecord, Calibration]:
+        made = self._made
+        if made is None:
+            record = self._empty()
+            record.extend(self._steps)
+            made = self._made = record, record.calibration
+        return made
+
+    def _empty(self) -> PrequentialRecord:
+        return PrequentialRecord(self._settings, self._scales, self._count)
 
 
 def _spread(off: Array) -> Array:

@@ -15,19 +15,18 @@ from crkr.protocol.errors import Invalid
 if TYPE_CHECKING:
     from crkr.protocol.specification.task_spec import TaskSpec
 
-__all__ = ["MOST_ACTIVE", "MOST_KEPT", "refuse_absurd"]
+__all__ = ["MOST_ACTIVE", "MOST_KEPT", "MOST_NEIGHBOURS", "refuse_absurd"]
 
 MOST_ACTIVE: Final = 5000  # samples in a model: a new one takes about a second then, and 200 MB
 MOST_KEPT: Final = 3000  # samples that the selector "full", which has no budget, learns from
+MOST_NEIGHBOURS: Final = 200  # trials that a local outcome model is fitted to: a fit takes the cube of them
 _LARGEST: Final = 1e100  # coordinates in their units, whose squares are numbers too
 _SMALLEST: Final = 1e-100  # lengths in the units of their coordinates
 _FINEST: Final = 1e12  # times its length is what a coordinate may be or span: float64 tells no more apart
 _LEAST_VARIANCE: Final = 1e-12  # of scaled goals
 _LEAST: Final = 1e-30  # of settings in scaled units that are not zero
 _MOST_TEMPERATURES: Final = 64
-_MOST_STEPS: Final = (
-    2e8  # multiplications that the outcome model may take for one prediction: about a tenth of a second
-)
+_MOST_STEPS: Final = 2e8  # multiplications of the outcome model for one prediction: some 50 ms
 
 _Fault = tuple[str, str]  # a field, and what is wrong with it
 
@@ -88,12 +87,14 @@ def _exploration(spec: TaskSpec) -> Iterator[_Fault]:
         yield "exploration.temperature", f"must have at most {_MOST_TEMPERATURES} entries; got {len(own.temperature)}"
     if own.type == "outcome":
         width, groups = 1 + len(spec.state) + len(spec.goal), len({entry.group for entry in spec.outcome})
-        steps = own.iterations * groups * own.neighbours * width * width
-        if steps > _MOST_STEPS:
+        near = min(own.neighbours, MOST_NEIGHBOURS)
+        steps = own.iterations * own.neighbours * width * width + 2 * near**3 + own.candidates * near * (near + width)
+        if groups * steps > _MOST_STEPS:
             yield (
                 "exploration.neighbours",
-                "times exploration.iterations, groups of outcomes and the square of 1 + states + goals must be at most "
-                f"{_MOST_STEPS:.0f}, or a prediction holds others up; got {steps}",
+                f"are too many for {groups} groups of outcomes, {own.iterations} iterations, {own.candidates} "
+                f"candidates and {width - 1} states and goals: a prediction would take {groups * steps:.0f} "
+                f"multiplications, and {_MOST_STEPS:.0f} is the most that does not hold others up",
             )
 
 

@@ -61,7 +61,8 @@ class _Line:
     @property
     def slow(self) -> bool:
         """Whether the next step will probably be long."""
-        return self.long or (isinstance(self.steps[0].entries, Event) and self.task.seq > _LONG_LOG)
+        prepared = self.task.model.explorer.prepare()  # if not, it is first worked out what a restart left
+        return self.long or not prepared or (isinstance(self.steps[0].entries, Event) and self.task.seq > _LONG_LOG)
 
 
 @final

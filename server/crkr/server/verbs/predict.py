@@ -2,7 +2,7 @@
 
 The time of a prediction is known beforehand from the number of states b and of active samples m: the m^2 numbers of the
 factor are read once, and each state costs another m^2 operations. Outcome-guided goals also compare each state with
-the observed trials. Long questions are answered in slices, between which other questions have their turns.
+the observed trials. Long questions are answered in slices, between which others have their turns.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from typing import Any, Final, NamedTuple, Self, final
 import numpy as np
 
 from crkr.learner import Model
-from crkr.learner.exploration.outcome_model import MOST_NEIGHBOURS
 from crkr.protocol import (
+    MOST_NEIGHBOURS,
     CrkrError,
     Invalid,
     NovelState,
@@ -43,6 +43,9 @@ _GUIDED_US: Final = 200.0  # each state with an outcome-guided goal
 _TRIAL_US: Final = 0.016  # each such state, for each trial compared
 _GROUP_US: Final = 50.0  # each such state, for each group of outcomes
 _FIT_US: Final = 1.7e-4  # each such group, for each of n^3 with n neighbours
+_CANDIDATE_US: Final = 0.05  # each such group, for each neighbour of each candidate beyond the usual ones
+_USUAL_CANDIDATES: Final = 32
+_FILL_US: Final = 0.3  # any number of states while goals fill space, for each of p^2
 _LEAST: Final = 8  # states at a time; with fewer, most of the work would be reading the factor
 _LONG_US: Final = 10_000.0  # of work at a time, even with fewer states
 _LONGEST: Final = 128  # name of a worker
@@ -80,7 +83,7 @@ class Predictor:
                     message = unpack(payload)
                     question = _question(message, task.dimensions)
                 needed = cost.us(1 if message is None else _states(message))
-                if needed > _AT_ONCE_US:
+                if needed > _AT_ONCE_US or not task.model.explorer.prepare():
                     request.patient = True
                     left.append(request)
                     continue
@@ -199,6 +202,8 @@ class _Batch:
     def step(self) -> bool:
         """Work for about a millisecond; True when done."""
         started = time.perf_counter_ns()
+        if not self._model.explorer.prepare(self._step):
+            return False
         first, self._done = self._done, min(self._done + self._step, len(self._states))
         one = self.question.states.ndim == 1
         states = self.question.states if one else self._states[first : self._done]
@@ -240,7 +245,9 @@ class _Cost(NamedTuple):
         square, searched = model.active**2, model.explorer.searched
         guided = _GUIDED_US + _TRIAL_US * searched + _local_fit_us(task.created, searched) if searched else 0.0
         state_us = _STATE_US + _SQUARE_US * square + guided
-        return cls(_PASS_US * square, state_us, max(1, min(_LEAST, int(_LONG_US / state_us))))
+        filling = not (model.active or searched) or model.tried < task.created.start.count
+        once_us = _PASS_US * square + (_FILL_US * len(task.created.goal) ** 2 if filling else 0.0)
+        return cls(once_us, state_us, max(1, min(_LEAST, int(_LONG_US / state_us))))
 
     def us(self, count: int) -> float:
         """Time for `count` states [us]."""
@@ -248,9 +255,10 @@ class _Cost(NamedTuple):
 
 
 def _local_fit_us(spec: TaskSpec, searched: int) -> float:
-    """Estimated time of the fits to a state's nearest trials [us]."""
-    groups = len({entry.group for entry in spec.outcome})
-    return groups * (_GROUP_US + _FIT_US * min(spec.exploration.neighbours, MOST_NEIGHBOURS, searched) ** 3)
+    """Estimated time of the fits to a state's nearest trials, and of the candidates [us]."""
+    groups, own = len({entry.group for entry in spec.outcome}), spec.exploration
+    near, more = min(own.neighbours, MOST_NEIGHBOURS, searched), max(0, own.candidates - _USUAL_CANDIDATES)
+    return groups * (_GROUP_US + _FIT_US * near**3 + _CANDIDATE_US * near * more)
 
 
 def _refuse_long_answer(task: ServedTask, count: int) -> None:

@@ -27,7 +27,8 @@ _MANY: Final = 4096  # waiting, from which on adding is slowed down, so that que
 _SLOWED_S: Final = 0.0001
 _MOST_WAITING: Final = 16_384
 _LARGE: Final = 16_384  # bytes of a query
-_MOST_BYTES: Final = 16 * 2**20  # of large queries, and again of small ones
+# Bytes that may wait, by whether the query is large: three of the largest messages, or some thousand small ones.
+_MOST_BYTES: Final = {True: 26 * 2**20, False: 16 * 2**20}
 _Tell = Callable[[CrkrError], None]
 
 
@@ -67,7 +68,7 @@ class Refuser:
             queued = not self._closing.is_set()
             if queued:
                 large = size > _LARGE
-                if len(self._waiting) >= _MOST_WAITING or self._bytes[large] + size > _MOST_BYTES:
+                if len(self._waiting) >= _MOST_WAITING or self._bytes[large] + size > _MOST_BYTES[large]:
                     return False
                 self._waiting.append((tell, error))
                 self._sizes.append(size)

@@ -42,13 +42,16 @@ def specification(name: str, *, guided: bool = False) -> dict[str, Any]:
         "selector": "anms",
         "refit_every": 0,
         "exploration": {"type": "gaussian"},
+        "start": {"type": "space-filling", "count": 0},
+        "cost": "measured",
     }
     if guided:
         spec["outcome"] = [
-            {"name": name, "unit": "m", "target": 0.0, "tolerance": 0.05, "group": "landing"} for name in ("dx", "dy")
+            {"name": name, "unit": "m", "target": 0.0, "tolerance": 0.05, "group": "landing", "aim": aim}
+            for name, aim in (("dx", "equal"), ("dy", "at_least"))
         ]
         given = {"trust": 4.0, "temperature": [0.1, 0.5], "neighbours": 20, "iterations": 2, "min_trials": 10}
-        spec["exploration"] = {"type": "outcome", **given, "gate": 2.0}
+        spec["exploration"] = {"type": "outcome", **given, "gate": 2.0, "candidates": 4, "drift": True}
     return spec
 
 

@@ -14,6 +14,16 @@ Rng = np.random.Generator
 
 NUMBERS: Final = (*FLOATS, *WHOLE, 1e6, 1e-6, 1e-300, 1e300, 1e-12, 1e12)
 STATES: Final = ([0.3, 0.4], [0.01, -0.9], [1e10, 0.0], [1e308, -1e308], [0.5, 1e154])
+OTHERS: Final = (
+    {"cost": "label"},
+    {"cost": "label", "learn_from": "all"},
+    {"learn_from": "all", "cost_map": "odds"},
+    {"start": {"type": "space-filling", "count": 45}},
+    {"start": {"type": "demonstrations", "count": 3}},
+    {"selector": "full", "prior_mean": "zero"},
+    {"selector": "freeze", "novel": "refuse"},
+)
+UNKNOWN: Final = ("success_probability", "predicted_outcome", "predicted_outcome_sd")  # may be NaN: nothing is known
 UNUSABLE: Final = ("INTERNAL", "STORAGE", "SHUTTING_DOWN")
 TRIALS: Final = 40
 
@@ -30,6 +40,8 @@ def places(value: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
 def odd(name: str, rng: Rng) -> dict[str, Any]:
     """A specification with one or two absurd numbers."""
     spec = deepcopy(specification(name, guided=bool(rng.random() < 0.5)))
+    if rng.random() < 0.5:
+        spec |= deepcopy(OTHERS[int(rng.integers(len(OTHERS)))])
     found = list(places(spec))
     for _ in range(1 if rng.random() < 0.6 else 2):
         *within, last = found[int(rng.integers(len(found)))]
@@ -43,9 +55,13 @@ def odd(name: str, rng: Rng) -> dict[str, Any]:
 
 def practised(spec: dict[str, Any], rng: Rng) -> list[dict[str, Any]]:
     """Trials that are in order, some in absurd states and with absurd outcomes."""
-    trials = []
+    trials, misses = [], rng.random() < 0.2  # alone
     for number in range(TRIALS):
-        made = {**trial(spec, number + 1, rng), "kind": "trial", "success": True}
+        made = {**trial(spec, number + 1, rng), "kind": "trial", "success": not misses}
+        if rng.random() < 0.1:
+            made |= {"kind": "failed", "success": False, "cost": None}
+        if spec["cost"] == "label" and rng.random() < 0.7:
+            made |= {"cost": None, "success": not misses and bool(rng.random() < 0.7)}
         if rng.random() < 0.05:
             made["state"] = encoded(STATES[int(rng.integers(len(STATES)))])
         if "outcome" in made and rng.random() < 0.1:
@@ -79,8 +95,10 @@ class Practice:
         error = answer.get("error", {})
         if error.get("code") in UNUSABLE:
             self._complain(verb, error["message"])
-        elif not all(np.isfinite(one) for one in numbers(answer)):
+        elif not all(np.isfinite(one) for one in numbers({**answer, **dict.fromkeys(UNKNOWN)})):
             self._complain(verb, "a number that is none")
+        elif not all(np.isnan(one) or 0 <= one <= 1 for one in numbers(answer.get("success_probability"))):
+            self._complain(verb, "a probability that is none")
         return answer
 
     def predict(self, state: list[float], explore: bool) -> None:

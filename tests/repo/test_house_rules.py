@@ -27,9 +27,7 @@ TEXT = {
     ".yml",
 }
 LONGEST = 350
-LONG_FOR_A_REASON = {
-    "learner/crkr/learner/selection/priority_tree.py": "numba's cache looks at one file only"
-}
+LONG_FOR_A_REASON = {"learner/crkr/learner/selection/priority_tree.py": "numba's cache looks at one file only"}
 
 MACHINE = re.compile(r"(?<![\w.$}])/(?:work|root|opt/wheels|opt/pypi|home/\w+|tmp)\b")
 REGISTRY = re.compile(r"pypi\.org|pythonhosted|artifactory|nexus|devpi|index-url|find-links", re.IGNORECASE)

@@ -30,7 +30,10 @@ LAYERS = {
     "learner": _layer("protocol", "numpy scipy numba"),
     "client": _layer("protocol", "numpy zenoh typer rich pyarrow"),
     "server": _layer("protocol learner", "numpy zenoh typer rich prometheus_client"),
-    "sim_worker": _layer("protocol client", "numpy scipy mujoco pinocchio coal clarabel matplotlib PIL av typer rich"),
+    "sim_worker": _layer(
+        "protocol client",
+        "numpy scipy mujoco gymnasium gymnasium_robotics pinocchio coal clarabel matplotlib PIL av typer rich",
+    ),
     "dashboard": _layer("protocol client", "numpy rerun typer rich"),
     "experiments": _layer(
         "protocol learner client sim_worker", "numpy scipy matplotlib joblib sklearn zenoh typer rich"

@@ -1,9 +1,10 @@
-"""Skills by name: installed ones, "package.module:factory", and "path/to/module.py:factory"."""
+"""Skills by name: installed ones, "package.module:factory", "path/to/module.py:factory", and "gymnasium:ENV-ID"."""
 
 from __future__ import annotations
 
 import importlib
 import os
+import re
 import sys
 import traceback
 from contextlib import chdir
@@ -16,9 +17,20 @@ from crkr.protocol import CrkrError, Invalid, TaskSpec
 from crkr.sim_worker.guarded_skill import GuardedSkill, one_line, skill_code
 from crkr.sim_worker.skill import Skill, SkillOptions
 
-__all__ = ["GROUP", "MissingLibrary", "check_skill", "default_task", "installed_skills", "load_skill", "specification"]
+__all__ = [
+    "GROUP",
+    "MissingLibrary",
+    "check_skill",
+    "default_task",
+    "installed_skills",
+    "load_skill",
+    "specification",
+    "task_name",
+]
 
 GROUP: Final = "crkr.skills"
+FAMILIES: Final = "crkr.skill_families"
+"""Entry points that make a factory of what follows their name and a colon, as of an environment's name."""
 
 
 def installed_skills() -> tuple[str, ...]:
@@ -36,7 +48,10 @@ def check_skill(name: str) -> str:
     Raises:
         Invalid: It names neither.
     """
-    if ":" in name:
+    if _family(name):
+        if not name.partition(":")[2]:
+            raise Invalid(f"skill {name!r} names no member; write {name}NAME")
+    elif ":" in name:
         _Place.of(name)
     elif name not in installed_skills():
         listed = ", ".join(installed_skills()) or "none"
@@ -49,7 +64,14 @@ def check_skill(name: str) -> str:
 def default_task(name: str) -> str:
     """Name of a task for a skill: its own, or its module's if it is not installed; raises what `check_skill` raises."""
     check_skill(name)
+    if _family(name):
+        return task_name(name)
     return name if ":" not in name else _Place.of(name).module.split(".")[-1].replace("_", "-").lower()
+
+
+def task_name(member: str) -> str:
+    """A task's name for a family's member, as "reacher-v5" for "gymnasium:Reacher-v5"."""
+    return re.sub(r"[^a-z0-9]+", "-", member.rpartition(":")[2].lower()).strip("-")[:63] or "task"
 
 
 def load_skill(name: str, options: SkillOptions) -> Skill:
@@ -57,14 +79,15 @@ def load_skill(name: str, options: SkillOptions) -> Skill:
 
     Args:
         name: An installed skill's name; "package.module:factory", looked up from the working directory too; or a file,
-            as "path/to/module.py:factory" or "./module:factory".
+            as "path/to/module.py:factory" or "./module:factory"; or a family and its member, as "gymnasium:Reacher-v5".
         options: How to set it up.
 
     Raises:
         Invalid: There is no such skill, it does not know an option, or its module or factory raises.
         ModuleNotFoundError: A library that the skill needs is not installed.
     """
-    factory = _from_module(name) if ":" in name else _from_entry_point(name)
+    look = _from_family if _family(name) else _from_module if ":" in name else _from_entry_point
+    factory = look(name)
 
     def fault(error: BaseException) -> NoReturn:
         if isinstance(error, CrkrError | ModuleNotFoundError):
@@ -105,6 +128,18 @@ def _from_entry_point(name: str) -> Any:
     return next(iter(entry_points(group=GROUP, name=name))).load()
 
 
+def _family(name: str) -> str | None:
+    """The family that a name's member is of."""
+    family, colon, _ = name.partition(":")
+    return family if colon and family in entry_points(group=FAMILIES).names else None
+
+
+def _from_family(name: str) -> Any:
+    check_skill(name)
+    family, _, member = name.partition(":")
+    return next(iter(entry_points(group=FAMILIES, name=family))).load()(member)
+
+
 @final
 @dataclass(frozen=True, slots=True)
 class _Place:
@@ -142,7 +177,7 @@ class _Place:
 
 
 # Packages that an extra of crkr brings: if one is missing, the command names the extra.
-_OURS: Final = ("PIL", "av", "clarabel", "coal", "matplotlib", "mujoco", "pinocchio", "scipy")
+_OURS: Final = ("PIL", "av", "clarabel", "coal", "gymnasium", "matplotlib", "mujoco", "pinocchio", "scipy")
 
 
 def _from_module(name: str) -> Any:

@@ -1,0 +1,159 @@
+"""An environment by its name, and what a skill must know of it: its actions, and how many steps an episode takes."""
+
+from __future__ import annotations
+
+import enum
+import importlib.util
+import types
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Final, final
+
+import gymnasium
+import numpy as np
+from gymnasium.spaces import Box
+from numpy.typing import NDArray
+
+from crkr.protocol import Invalid
+from crkr.protocol.errors import shown
+
+__all__ = ["Bounds", "Environment", "Floats", "make_environment", "narrowed"]
+
+Floats = NDArray[np.float64]
+Bounds = float | tuple[Any, Any]
+"""The greatest size of all numbers of a goal; or their (low, high), each a number or (n,)."""
+
+ROBOTICS: Final = "gymnasium_robotics"
+PROBES: Final = 3  # random episodes that tell whether one action ends an episode
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Environment:
+    """An environment whose episodes a skill can run.
+
+    Attributes:
+        env: With Gymnasium's wrappers.
+        name: For messages.
+        steps: Most steps of an episode; 1 where an action is a whole trial.
+        low: (n,) least action.
+        high: (n,) greatest action.
+    """
+
+    env: gymnasium.Env[Any, Any]
+    name: str
+    steps: int
+    low: Floats
+    high: Floats
+
+    def act(self, action: Floats) -> tuple[Any, float, bool, Mapping[str, Any]]:
+        """One step: the observation, the reward, whether the episode is over, and what the environment tells."""
+        space: Any = self.env.action_space
+        clipped = np.clip(action, self.low, self.high).reshape(space.shape).astype(space.dtype)
+        observation, reward, terminated, truncated, info = self.env.step(clipped)
+        return observation, float(reward), bool(terminated or truncated), info
+
+
+def make_environment(
+    source: str | Callable[[], gymnasium.Env[Any, Any]],
+    settings: Mapping[str, Any],
+    goal_bounds: Bounds | None = None,
+    steps: int | None = None,
+) -> Environment:
+    """Makes an environment and tries how it ends.
+
+    Args:
+        source: Its name, also as package:name; or what makes it.
+        settings: Keyword arguments of the environment.
+        goal_bounds: Of actions that have none.
+        steps: Of an episode, where the environment has no time limit.
+
+    Raises:
+        Invalid: There is no such environment, or no trial can be made of its episodes; the message says what to do.
+    """
+    env, name = _made(source, settings)
+    space = env.action_space
+    if not isinstance(space, Box):
+        raise Invalid(
+            f"{name} takes actions of {type(space).__name__}, but a goal is a vector of numbers; "
+            "use an environment with a Box of actions, or wrap this one by gymnasium.wrappers.TransformAction"
+        )
+    low, high = _action_bounds(space, goal_bounds, name)
+    made = Environment(env, name, 2, low, high)
+    if all(_ends_at_once(made, seed) for seed in range(PROBES)):
+        return Environment(env, name, 1, low, high)
+    limit = steps if steps is not None else env.spec.max_episode_steps if env.spec is not None else None
+    if limit is None:
+        raise Invalid(
+            f"{name} needs many steps and has no time limit; "
+            f"say how many make a trial: gymnasium_skill({name!r}, steps=100)"
+        )
+    return Environment(env, name, int(limit), low, high)
+
+
+def _made(
+    source: str | Callable[[], gymnasium.Env[Any, Any]], settings: Mapping[str, Any]
+) -> tuple[gymnasium.Env[Any, Any], str]:
+    if callable(source):
+        env = source()
+        return env, env.spec.id if env.spec is not None else type(env.unwrapped).__name__
+    if source not in gymnasium.registry and importlib.util.find_spec(ROBOTICS) is not None:
+        _register_robotics()
+    try:
+        return gymnasium.make(source, disable_env_checker=True, **settings), source.rpartition(":")[2]
+    except (gymnasium.error.Error, ModuleNotFoundError, TypeError) as error:
+        reason = " ".join(str(error).split()).rstrip(".")
+        raise Invalid(
+            f"there is no environment {source!r}: {reason}; "
+            "an environment of another package is named PACKAGE:ENV-ID, after `pip install` of the package"
+        ) from error
+
+
+def _register_robotics() -> None:
+    """Registers gymnasium-robotics' environments."""
+    import gymnasium_robotics
+    import mujoco
+    from gymnasium_robotics.utils import mujoco_utils
+
+    hinge = mujoco.mjtJoint.mjJNT_HINGE
+    if np.int32(int(hinge)) not in (hinge,):  # its release 1.4.2 compares joint types so, which MuJoCo 4 answers by no
+        whole = {name: int(value) for name, value in mujoco.mjtJoint.__members__.items()}
+        stand_in = types.ModuleType("mujoco")
+        vars(stand_in).update(vars(mujoco), mjtJoint=enum.IntEnum("mjtJoint", whole))
+        mujoco_utils.mujoco = stand_in
+    gymnasium.register_envs(gymnasium_robotics)
+
+
+def _action_bounds(space: Box, given: Bounds | None, name: str) -> tuple[Floats, Floats]:
+    low, high = (np.asarray(side, dtype=np.float64).ravel() for side in (space.low, space.high))
+    if not low.size:
+        raise Invalid(f"{name} takes actions without numbers: there is nothing to learn")
+    if not (np.isfinite(low).all() and np.isfinite(high).all()):
+        if given is None:
+            first = int(np.argmax(~np.isfinite(low) | ~np.isfinite(high)))
+            raise Invalid(
+                f"{name}: action {first} has no bounds; give them: gymnasium_skill({name!r}, goal_bounds=1.0)"
+            )
+        low, high = narrowed(low, high, given, name)
+    return low, high
+
+
+def narrowed(low: Floats, high: Floats, given: Bounds | None, name: str) -> tuple[Floats, Floats]:
+    """The box [low, high] (n,) where it is within `goal_bounds`; raises `Invalid` where nothing is left."""
+    if given is None:
+        return low, high
+    least, most = given if isinstance(given, tuple) else (-given, given)
+    try:
+        low = np.maximum(low, np.broadcast_to(np.asarray(least, dtype=np.float64), low.shape))
+        high = np.minimum(high, np.broadcast_to(np.asarray(most, dtype=np.float64), high.shape))
+    except ValueError as error:
+        raise Invalid(f"{name}: goal_bounds need one number or {low.size}; got {shown(given)}") from error
+    if not (low < high).all():
+        raise Invalid(f"{name}: goal_bounds {shown(given)} leave goals no room within {low.tolist()}..{high.tolist()}")
+    return low, high
+
+
+def _ends_at_once(environment: Environment, seed: int) -> bool:
+    rng = np.random.default_rng(seed)
+    environment.env.reset(seed=seed)
+    return environment.act(rng.uniform(environment.low, environment.high))[2]

@@ -1,0 +1,233 @@
+"""What an episode is worth: its outcome, whether it succeeded, and its cost."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cache
+from typing import Any, Final, final
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from crkr.protocol import Invalid
+from crkr.protocol.errors import shown
+
+__all__ = ["Cost", "Episode", "Judgement", "Measure", "Success", "judge_by"]
+
+logger = logging.getLogger(__name__)
+
+Floats = NDArray[np.float64]
+Measure = Callable[[Any, Mapping[str, Any]], Mapping[str, float]]
+"""An outcome: numbers by name, from the unwrapped environment and its last info; 0 is perfect."""
+Success = str | Callable[[Any, Mapping[str, Any]], bool]
+Cost = tuple[str, float, float] | Callable[[Any, Mapping[str, Any]], float]
+
+FLAGS: Final = ("is_success", "success")
+GOOD: Final = 90  # percentile of random episodes' returns that counts as success where nothing else says so
+FAR: Final = 5.0  # tolerances off the target that cost 0.63
+WATCHED: Final = 100  # costs that a warning of saturation looks at
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Episode:
+    """How an episode ended.
+
+    Attributes:
+        env: The unwrapped environment.
+        observation: The last one.
+        total: Sum of the rewards, the return.
+        info: What the environment told at the last step.
+    """
+
+    env: gymnasium.Env[Any, Any]
+    observation: Any
+    total: float
+    info: Mapping[str, Any]
+
+
+@final
+class Judgement:
+    """Outcome, success and cost of episodes by one rule.
+
+    Attributes:
+        names: Of the outcome's numbers.
+        tolerances: (q,) that a success keeps.
+        rule: In words, for people.
+
+    Args:
+        measure: Of the outcome, or None.
+        tolerances: Of its numbers.
+        succeeded: Says whether an episode did what was wanted.
+        cost: In [0, 1], or beyond, where it is cut off.
+        rule: In words.
+    """
+
+    def __init__(
+        self,
+        measure: Callable[[Episode], Mapping[str, float]] | None,
+        tolerances: Mapping[str, float],
+        succeeded: Callable[[Episode], bool],
+        cost: Callable[[Episode], float],
+        rule: str,
+    ) -> None:
+        self.names = tuple(tolerances)
+        self.tolerances = np.array(list(tolerances.values()))
+        self.rule = rule
+        self._measure = measure
+        self._succeeded = succeeded
+        self._cost = cost
+        self._costs: list[float] = []
+
+    @property
+    def axes(self) -> list[dict[str, Any]]:
+        """The specification's `outcome`; empty where there is none."""
+        pairs = zip(self.names, self.tolerances.tolist(), strict=True)
+        return [{"name": name, "tolerance": tolerance, "group": "outcome"} for name, tolerance in pairs]
+
+    def outcome(self, episode: Episode) -> Floats | None:
+        """Its numbers (q,)."""
+        if self._measure is None:
+            return None
+        measured = self._measure(episode)
+        return np.array([float(measured[name]) for name in self.names])
+
+    def success(self, episode: Episode) -> bool:
+        """Whether it did what was wanted."""
+        return bool(self._succeeded(episode))
+
+    def cost(self, episode: Episode) -> float:
+        """Its cost; warns where costs tell trials apart no longer."""
+        cost = float(np.clip(self._cost(episode), 0.0, 1.0))
+        self._costs.append(cost)
+        if len(self._costs) == WATCHED:
+            for end, said in ((0.0, "as cheap"), (1.0, "as costly")):
+                if np.mean(np.array(self._costs) == end) > 0.5:
+                    logger.warning(
+                        "more than half of %d trials are %s as cost can tell; give its range: "
+                        'gymnasium_skill(..., cost=("return", WORST, BEST))',
+                        WATCHED,
+                        said,
+                    )
+            self._costs.clear()
+        return cost
+
+
+def judge_by(
+    first: Episode,
+    returns: Callable[[], Floats],
+    name: str,
+    *,
+    success: Success | None,
+    cost: Cost | None,
+    outcome: Measure | None,
+    tolerance: float | Mapping[str, float] | None,
+) -> Judgement:
+    """The rule that the arguments of `gymnasium_skill` make; what they leave open is taken from the environment.
+
+    Args:
+        first: An episode that has just ended.
+        returns: Makes episodes of random goals and returns their returns (n,); called where nothing else says what
+            a trial is worth.
+        name: Of the environment, for messages.
+        success: A flag of the environment's info, or a function.
+        cost: ("return", worst, best), or a function.
+        outcome: Measures a trial.
+        tolerance: Of the outcome's numbers.
+
+    Raises:
+        Invalid: The environment's episodes lack what an argument names, or an outcome has no tolerance.
+    """
+    measure = _measure(first, outcome)
+    tolerances = {} if measure is None else _tolerances(measure(first), first, name, tolerance)
+    returns = cache(returns)
+    succeeded, rule = _success(first, returns, name, success, measure, tolerances)
+    return Judgement(measure, tolerances, succeeded, _cost(returns, cost, measure, tolerances), rule)
+
+
+def _measure(episode: Episode, given: Measure | None) -> Callable[[Episode], Mapping[str, float]] | None:
+    if given is not None:
+        return lambda episode: given(episode.env, episode.info)
+    seen = episode.observation
+    if not (isinstance(seen, Mapping) and {"achieved_goal", "desired_goal"} <= set(seen)):
+        return None
+
+    def missed(episode: Episode) -> Mapping[str, float]:
+        off = np.ravel(episode.observation["achieved_goal"]) - np.ravel(episode.observation["desired_goal"])
+        return {f"off_{index}": float(value) for index, value in enumerate(off)}
+
+    return missed
+
+
+def _tolerances(
+    measured: Mapping[str, float], episode: Episode, name: str, given: float | Mapping[str, float] | None
+) -> dict[str, float]:
+    if not isinstance(measured, Mapping) or not measured:
+        raise Invalid(f"{name}: outcome must measure a map of numbers, as {{'off_x': 0.1}}; got {shown(measured)}")
+    names = list(measured)
+    if isinstance(given, Mapping):
+        lacking = [one for one in names if one not in given]
+        if lacking:
+            raise Invalid(f"{name}: outcome {lacking[0]!r} has no tolerance; add it to tolerance={{...}}")
+        return {one: float(given[one]) for one in names}
+    if given is not None:
+        return dict.fromkeys(names, float(given))
+    threshold = getattr(episode.env, "distance_threshold", None)  # of gymnasium-robotics
+    if threshold is not None:
+        return dict.fromkeys(names, float(threshold) / len(names) ** 0.5)
+    raise Invalid(
+        f"{name}: an outcome needs a tolerance, the deviation from 0 that still succeeds: "
+        f"gymnasium_skill({name!r}, outcome=..., tolerance=0.05)"
+    )
+
+
+def _success(
+    first: Episode,
+    returns: Callable[[], Floats],
+    name: str,
+    given: Success | None,
+    measure: Callable[[Episode], Mapping[str, float]] | None,
+    tolerances: Mapping[str, float],
+) -> tuple[Callable[[Episode], bool], str]:
+    if callable(given):
+        return lambda episode: bool(given(episode.env, episode.info)), "success as defined"
+    flag = given or next((flag for flag in FLAGS if flag in first.info), None)
+    if flag is not None:
+        if flag not in first.info:
+            known = ", ".join(sorted(first.info)) or "nothing"
+            raise Invalid(f"{name} tells no {flag!r} at the end of an episode; it tells {known}")
+        return lambda episode: bool(np.all(episode.info[flag])), f"success is {flag}"
+    if measure is not None:
+        return lambda episode: _deviation(measure(episode), tolerances) <= 1.0, "success is an outcome in tolerance"
+    good = float(np.percentile(returns(), GOOD))
+    said = f"success is a return of at least {good:.4g}, which one random trial in ten reaches; better say what it is"
+    return lambda episode: episode.total >= good, said
+
+
+def _cost(
+    returns: Callable[[], Floats],
+    given: Cost | None,
+    measure: Callable[[Episode], Mapping[str, float]] | None,
+    tolerances: Mapping[str, float],
+) -> Callable[[Episode], float]:
+    if callable(given):
+        return lambda episode: float(given(episode.env, episode.info))
+    if given is None and measure is not None:
+        return lambda episode: 1.0 - float(np.exp(-_deviation(measure(episode), tolerances) / FAR))
+    if given is None:
+        worst, middle, best = np.percentile(returns(), (5, 50, 100))
+        best += 0.1 * (best - middle)  # learning finds better ones than chance
+        best = best if best > worst else worst + 1.0
+    else:
+        kind, worst, best = given
+        if kind != "return" or not worst < best:
+            raise Invalid(f'cost must be ("return", WORST, BEST) with WORST < BEST, or a function; got {given!r}')
+    return lambda episode: float((best - episode.total) / (best - worst))
+
+
+def _deviation(measured: Mapping[str, float], tolerances: Mapping[str, float]) -> float:
+    """Distance from the target, in tolerances."""
+    return float(np.sqrt(sum((measured[name] / tolerance) ** 2 for name, tolerance in tolerances.items())))

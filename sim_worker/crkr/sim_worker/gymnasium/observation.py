@@ -1,0 +1,152 @@
+"""The numbers of an observation by name, and which of them tell one situation from another."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, final
+
+import numpy as np
+from gymnasium import Space, spaces
+from numpy.typing import NDArray
+
+from crkr.protocol import Invalid
+
+__all__ = ["Observation", "rounded_box"]
+
+Floats = NDArray[np.float64]
+
+MOST: Final = 64  # numbers of an observation's entry that has rows and columns; more is taken for an image
+REPEATS: Final = 0.03  # share of an entry's deviation that the entries before it leave unexplained: it adds nothing
+QUIET: Final = 10.0  # times narrower than the widest entry: noise of the reset, given a longer length-scale
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Observation:
+    """Which numbers of an observation are the state.
+
+    Attributes:
+        names: Of the numbers, the state's order.
+        places: Of each number: the keys of its entry, and its index in the entry.
+        axes: The specification's `state`.
+    """
+
+    names: tuple[str, ...]
+    places: tuple[tuple[tuple[str, ...], int], ...]
+    axes: tuple[dict[str, Any], ...]
+
+    @classmethod
+    def choose(
+        cls, space: Space[Any], samples: Sequence[Any], chosen: Sequence[str | int] | None, name: str
+    ) -> Observation:
+        """Chooses the numbers that differ from reset to reset and do not follow from others.
+
+        Args:
+            space: Of observations.
+            samples: Observations at reset.
+            chosen: Names of numbers or of entries, or positions in a vector; None leaves out what adds nothing.
+            name: Of the environment, for messages.
+
+        Raises:
+            Invalid: An entry is an image or no numbers at all, or there is nothing of a chosen name.
+        """
+        labels, places = _listed(space, chosen, name)
+        values = np.array([[_at(sample, place) for place in places] for sample in samples])
+        kept = _telling(values) if chosen is None else list(range(len(places)))
+        if not kept:  # always the same situation: a state that is constant
+            return cls(
+                labels[:1], places[:1], ({"name": labels[0], "low": values[0, 0] - 1, "high": values[0, 0] + 1},)
+            )
+        low, high = rounded_box(values[:, kept])
+        shortest = np.max(high - low) / (4 * QUIET)
+        axes = [
+            {"name": labels[index], "low": least, "high": most, "lengthscale": float(max((most - least) / 4, shortest))}
+            for index, least, most in zip(kept, low.tolist(), high.tolist(), strict=True)
+        ]
+        return cls(tuple(labels[index] for index in kept), tuple(places[index] for index in kept), tuple(axes))
+
+    def state(self, observation: Any) -> Floats:
+        """The state (d,) of an observation."""
+        return np.array([_at(observation, place) for place in self.places])
+
+
+def rounded_box(values: Floats) -> tuple[Floats, Floats]:
+    """The least box of (n, d) values with its faces on a coarse grid, so that every machine finds the same."""
+    low, high = values.min(axis=0), values.max(axis=0)
+    width = np.where(high > low, high - low, 1.0)
+    grid = 10.0 ** np.floor(np.log10(width) - 1.0)
+    outward = np.floor(low / grid - 0.01), np.ceil(high / grid + 0.01)
+    return np.round(outward[0] * grid, 12), np.round(outward[1] * grid, 12)
+
+
+def _listed(
+    space: Space[Any], chosen: Sequence[str | int] | None, name: str
+) -> tuple[tuple[str, ...], tuple[tuple[tuple[str, ...], int], ...]]:
+    """Names and places of all numbers, or of the chosen ones in the order of the choice."""
+    entries = sorted(_entries(space, ()), key=lambda entry: entry[0] != ("desired_goal",))  # what a trial is for, first
+    found: list[tuple[str, tuple[str, ...], int]] = []
+    for keys, leaf in entries:
+        label = ".".join(keys) or "observation"
+        if chosen is not None and not any(isinstance(one, int) or one.startswith(label) for one in chosen):
+            continue
+        found += [(text, keys, index) for index, text in enumerate(_numbers(leaf, label, name))]
+    if chosen is not None:
+        found = [entry for one in chosen for entry in _named(found, one, name)]
+    return tuple(label for label, _, _ in found), tuple((keys, index) for _, keys, index in found)
+
+
+def _entries(space: Space[Any], keys: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], Space[Any]]]:
+    if isinstance(space, spaces.Dict):
+        for key, inner in space.spaces.items():
+            yield from _entries(inner, (*keys, str(key)))
+    else:
+        yield keys, space
+
+
+def _numbers(leaf: Space[Any], label: str, name: str) -> list[str]:
+    """Names of an entry's numbers."""
+    shape = leaf.shape or ()
+    if not isinstance(leaf, spaces.Box | spaces.Discrete | spaces.MultiDiscrete | spaces.MultiBinary):
+        kind = f"of {type(leaf).__name__}"
+    elif len(shape) > 1 and np.prod(shape) > MOST:
+        kind = f"an image {shape}"
+    else:
+        return [label] if not shape else [f"{label}_{index}" for index in range(int(np.prod(shape)))]
+    raise Invalid(
+        f"{name}: observation {label!r} is {kind}, but a state is a short vector of numbers; name the entries to keep: "
+        f'gymnasium_skill({name!r}, state=["..."]), or wrap the environment by gymnasium.wrappers.TransformObservation'
+    )
+
+
+def _named(
+    found: list[tuple[str, tuple[str, ...], int]], one: str | int, name: str
+) -> list[tuple[str, tuple[str, ...], int]]:
+    if isinstance(one, int) and 0 <= one < len(found):
+        return [found[one]]
+    named = [entry for entry in found if one in (entry[0], ".".join(entry[1]) or "observation")]
+    if not named:
+        listed = ", ".join(dict.fromkeys(".".join(keys) or "observation" for _, keys, _ in found)) or "none of numbers"
+        raise Invalid(f"{name} has no observation {one!r}; its entries: {listed}; their numbers are named ENTRY_INDEX")
+    return named
+
+
+def _at(observation: Any, place: tuple[tuple[str, ...], int]) -> float:
+    keys, index = place
+    for key in keys:
+        observation = observation[key]
+    return float(np.ravel(observation)[index])
+
+
+def _telling(values: Floats) -> list[int]:
+    """Columns that vary and are not nearly a linear function of the columns before them."""
+    kept: list[int] = []
+    for column in range(values.shape[1]):
+        own = values[:, column]
+        if np.ptp(own) <= 1e-9 * (1.0 + np.abs(own).max()):
+            continue
+        known = np.column_stack([values[:, kept], np.ones(len(own))])
+        fitted, *_ = np.linalg.lstsq(known, own, rcond=None)
+        if np.std(own - known @ fitted) > REPEATS * np.std(own):
+            kept.append(column)
+    return kept

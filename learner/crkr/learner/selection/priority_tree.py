@@ -64,7 +64,8 @@ class Tree(NamedTuple):
 
 
 _compiled = njit(nogil=True, cache=True, error_model="numpy")
-_inner = njit(nogil=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+_unwrapped: Any = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+_inner = njit(nogil=True, error_model="numpy", **_unwrapped)
 
 
 @_inner

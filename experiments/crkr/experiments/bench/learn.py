@@ -20,6 +20,7 @@ from scipy.spatial.distance import cdist
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel
 
+from crkr.experiments.bench.guided import measure_guided
 from crkr.experiments.bench.measurements import Measurement, in_turns, p50, ratio
 from crkr.experiments.bench.workload import BUDGET, D, P, bench_spec
 from crkr.learner import Anms, FitProblem, Learner, Model, Regression, fit
@@ -43,6 +44,7 @@ def measure(quick: bool) -> Iterator[Measurement]:
     yield from _predict(rng)
     yield _large_budget(rng)
     yield _fit(rng)
+    yield from measure_guided()
     if not quick:
         yield from _million(rng)
 

@@ -2,7 +2,7 @@
 
     x  (r,)    a point: a trial in the metric of `OutcomeScales`     a  (p,)    a step from x that changes the goal only
     D  (k, r)  its k neighbours minus x                               Y  (k, m)  what was observed in them
-    K  (k, k)  kernel of the rows of D plus noise, K = L L'           M  (k, k)  L^-1
+    K  (k, k)  kernel of the rows of D plus noise                     L  (k, k)  its lower factor, K = L L'
     alpha  (k, m)  K^-1 Y
 
 Every array has b points in front. A point's numbers do not depend on which other points are computed with it.
@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Final, final
 
 import numpy as np
-from scipy.linalg import lapack
+from scipy.linalg import blas, lapack
 
 from crkr.learner.selection.anms_batch import Indices
 from crkr.protocol import Array
@@ -57,7 +57,7 @@ class LocalGP:
         D: (b, k, p) goal part of the neighbours minus the point.
         squares: (b, k) their whole squared length.
         alpha: (b, k, m).
-        M: (b, k, k).
+        factors: b matrices (k, k), L below the diagonal and anything above.
         amplitude: (b, m) by which the prior's variances are multiplied for each entry.
     """
 
@@ -65,7 +65,7 @@ class LocalGP:
     D: Array
     squares: Array
     alpha: Array
-    M: Array
+    factors: tuple[Array, ...]
     amplitude: Array
 
     @classmethod
@@ -86,18 +86,20 @@ class LocalGP:
         if squares.max() > _FARTHEST**2:
             D = D * np.minimum(1.0, _FARTHEST / np.sqrt(np.maximum(squares, _FARTHEST**2)))[..., None]
             squares = np.vecdot(D, D)
-        K = D @ D.swapaxes(1, 2)
-        apart = squares[:, :, None] + squares[:, None] - 2.0 * K
-        K *= kernel.linear
-        K += kernel.constant
-        K += _bend(kernel, apart)
+        K = _kernel(kernel, D @ D.swapaxes(1, 2), squares, squares)
         k = K.shape[1]
         diagonal = K.reshape(len(K), -1)[:, :: k + 1]
         diagonal += kernel.noise if noise is None else noise
-        M = inverse_factor(K)
-        W = M @ Y
-        amplitude = ((W * W).sum(axis=1) + _PRIOR_TRIALS) / (k + _PRIOR_TRIALS)
-        return cls(kernel, D[..., -p:], squares, M.swapaxes(1, 2) @ W, M, amplitude)
+        alpha, fitted = np.empty((2, *Y.shape))
+        factors = []
+        for row, one in enumerate(K):
+            L, _ = lapack.dpotrf(one.T, lower=1, clean=0, overwrite_a=1)  # in the place of K
+            factors.append(L)
+            W = blas.dtrsm(1.0, L, Y[row], lower=1)
+            fitted[row] = W
+            alpha[row] = blas.dtrsm(1.0, L, W, lower=1, trans_a=1, overwrite_b=1)
+        amplitude = ((fitted * fitted).sum(axis=1) + _PRIOR_TRIALS) / (k + _PRIOR_TRIALS)
+        return cls(kernel, D[..., -p:], squares, alpha, tuple(factors), amplitude)
 
     def mean(self, steps: Array) -> Array:
         """(b, c, m) expectations at steps (b, c, p)."""
@@ -106,43 +108,48 @@ class LocalGP:
     def at(self, steps: Array) -> tuple[Array, Array]:
         """Expectations (b, c, m) at steps (b, c, p) and variances (b, c, m) of an observation there."""
         cross, lengths = self._cross(steps)
-        V = cross @ self.M.swapaxes(1, 2)
+        mean = cross @ self.alpha
+        for L, one in zip(self.factors, cross, strict=True):  # L^-1 cross', in the place of it
+            blas.dtrsm(1.0, L, one.T, lower=1, overwrite_b=1)
         own = self.kernel
         prior = own.constant + own.bend + own.linear * lengths
-        rest = np.maximum(prior - np.vecdot(V, V), 0.0) + own.noise
-        return cross @ self.alpha, rest[..., None] * self.amplitude[:, None]
+        rest = np.maximum(prior - np.vecdot(cross, cross), 0.0) + own.noise
+        return mean, rest[..., None] * self.amplitude[:, None]
 
     def slope(self, step: Array) -> Array:
         """(b, m, p) change of the expectations with the goal's coordinates in the metric, at steps (b, p)."""
-        cross = self.D @ step[..., None]
-        bend = _bend(self.kernel, self.squares + np.vecdot(step, step)[:, None] - 2.0 * cross[..., 0])
-        bend /= self.kernel.reach**2
-        weighted = self.alpha * (self.kernel.linear + bend)[..., None]
+        own = self.kernel
+        bend = (self.D @ step[..., None])[..., 0]
+        bend -= 0.5 * (self.squares + np.vecdot(step, step)[:, None])
+        bend = own.bend / own.reach**2 * np.exp(bend / own.reach**2)
+        weighted = self.alpha * (own.linear + bend)[..., None]
         pull = (self.alpha * bend[..., None]).sum(axis=1)
         return np.asarray(weighted.swapaxes(1, 2) @ self.D - pull[..., None] * step[:, None])
 
     def of(self, which: Indices) -> LocalGP:
         """That near some of the points."""
-        parts = (part[which] for part in (self.D, self.squares, self.alpha, self.M, self.amplitude))
-        return LocalGP(self.kernel, *parts)
+        factors = tuple(self.factors[point] for point in which.tolist())
+        return LocalGP(
+            self.kernel, self.D[which], self.squares[which], self.alpha[which], factors, self.amplitude[which]
+        )
 
     def _cross(self, steps: Array) -> tuple[Array, Array]:
         """Kernel (b, c, k) between steps and neighbours, and the steps' squared lengths (b, c)."""
-        cross, lengths = steps @ self.D.swapaxes(1, 2), np.vecdot(steps, steps)
-        bend = _bend(self.kernel, self.squares[:, None] + lengths[..., None] - 2.0 * cross)
-        cross *= self.kernel.linear
-        cross += self.kernel.constant
-        cross += bend
-        return cross, lengths
+        lengths = np.vecdot(steps, steps)
+        return _kernel(self.kernel, steps @ self.D.swapaxes(1, 2), lengths, self.squares), lengths
 
 
-def _bend(kernel: StepKernel, squared: Array) -> Array:
-    """The bending part of the kernel at squared distances, which rounding may have made slightly negative."""
-    squared = np.maximum(squared, 0.0, out=squared)
-    squared *= -0.5 / kernel.reach**2
-    np.exp(squared, out=squared)
-    squared *= kernel.bend
-    return squared
+def _kernel(kernel: StepKernel, dots: Array, left: Array, right: Array) -> Array:
+    """The kernel (b, a, k) of rows whose products (b, a, k) are used up and whose squared lengths are given."""
+    bend = dots / kernel.reach**2
+    bend -= (0.5 / kernel.reach**2) * left[..., None]
+    bend -= (0.5 / kernel.reach**2) * right[:, None]
+    np.exp(bend, out=bend)
+    bend *= kernel.bend
+    dots *= kernel.linear
+    dots += kernel.constant
+    dots += bend
+    return dots
 
 
 def inverse_factor(A: Array) -> Array:

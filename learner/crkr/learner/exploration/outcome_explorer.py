@@ -37,7 +37,7 @@ from crkr.protocol import Array, Exploration, TaskSpec
 __all__ = ["OutcomeExplorer"]
 
 _ATTEMPTS: Final = 16
-_BLOCK: Final = 8  # states at a time, whose matrices fit the cache
+_BLOCK: Final = 32  # states at a time: a call of numpy costs as much as one state's matrices
 _STILL: Final = 0.02  # scales; an update that moves the goal by less is the last
 _REFIT: Final = 0.3  # scales from where the model was fitted, beyond which it is fitted anew
 _SAFE: Final = np.log(0.9)  # P(executed) above which a mean that should hit is not looked at further
@@ -137,7 +137,7 @@ class OutcomeExplorer:
         return self._by_blocks(self._draw, states, means, sigmas, ids)
 
     def _by_blocks(self, choose: Callable[..., Choice], states: Array, *rest: Array | Sequence[UUID]) -> Choice:
-        """Some states at a time, so that what is computed for them stays in the cache; a single one as one of one."""
+        """Some states at a time, which bounds the memory that their matrices take; a single one as one of one."""
         if states.ndim == 1:
             alone = [part[None] if isinstance(part, np.ndarray) else part for part in rest]
             parts: list[Any] = list(choose(states[None], *alone))

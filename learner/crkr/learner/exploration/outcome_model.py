@@ -153,6 +153,8 @@ class OutcomeModel:
 
     def of(self, which: Indices) -> OutcomeModel:
         """That near some of the states."""
+        if len(which) == len(self.centre):
+            return self
         places = np.flatnonzero(np.isin(self.risky, which)) if self.refusals is not None else self.risky
         risky = np.searchsorted(which, self.risky[places])
         refusals = self.refusals.of(places) if self.refusals is not None and len(places) else None

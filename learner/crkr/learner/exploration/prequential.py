@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from typing import Final, NamedTuple, final
 
 import numpy as np
@@ -72,13 +73,11 @@ class _Expected(NamedTuple):
     Attributes:
         features: (f,) of the success curve.
         success: What it came to.
-        residual: Mean squared standardised residual of its outcome; NaN where none was predicted and observed.
-        off: (q,) standardised residuals of the entries; NaN likewise.
+        off: (q,) standardised residuals of the outcome's entries; NaN where none was predicted and observed.
     """
 
     features: Array
     success: bool
-    residual: float
     off: Array
 
 
@@ -104,7 +103,8 @@ class PrequentialRecord:
 
     def __init__(self, settings: Exploration, scales: OutcomeScales, count: int = 0) -> None:
         self._settings, self._scales, self._count = settings, scales, count
-        self._record: deque[_Expected] = deque(maxlen=_KEPT)
+        self._record: deque[_Expected] = deque(maxlen=_FITTED)
+        self._residuals: deque[float] = deque(maxlen=_KEPT)  # those that are known
         self._cusum = 0.0
         self.calibration = Calibration()
 
@@ -136,24 +136,24 @@ class PrequentialRecord:
             off = np.full(after.Y.shape[1], np.nan)
             off[model.entries] = (observed - seen.raw[0, 0]) / np.sqrt(seen.variance[0, 0])
             residual = np.nan if after.refused[-1] else _residual(seen, observed)
-            self._record.append(_Expected(features(seen)[0, 0], bool(after.success[-1]), residual, off))
-            self._watch(residual)
+            self._record.append(_Expected(features(seen)[0, 0], bool(after.success[-1]), off))
+            if not np.isnan(residual):
+                self._watch(residual)
         if self._record and self._count % _EVERY == 0:
             self._fit()
 
     def _fit(self) -> None:
-        newest = list(self._record)[-_FITTED:]
+        newest = self._record
         seen, success = np.array([one.features for one in newest]), np.array([one.success for one in newest])
         curve = SuccessCurve.fit(seen, success, _PRIOR, _SPREAD)
         self.calibration = Calibration(curve, _spread(np.array([one.off for one in newest])))
 
     def _watch(self, residual: float) -> None:
-        if np.isnan(residual):
+        self._residuals.append(residual)
+        earlier = len(self._residuals) - _NEWEST
+        if earlier < _SETTLED:  # what a new model does not foresee is no change of the robot
             return
-        earlier = [one.residual for one in list(self._record)[:-_NEWEST] if not np.isnan(one.residual)]
-        if len(earlier) < _SETTLED:  # what a new model does not foresee is no change of the robot
-            return
-        usual = max(float(np.mean(earlier)), _LEAST_USUAL)
+        usual = max(sum(islice(self._residuals, earlier)) / earlier, _LEAST_USUAL)
         self._cusum = max(0.0, self._cusum + residual - usual - _ALLOWANCE)
 
 

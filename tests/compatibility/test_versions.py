@@ -27,7 +27,7 @@ Start = Callable[..., Any]
 
 
 # Parts of a specification that came, or have other defaults, since the version before.
-NEW = re.compile(r"/(exploration|start|aim)(/|$)")
+NEW = re.compile(r"/(exploration|start|aim|skill)(/|$)")
 
 
 def is_new(path: str, value: object) -> bool:

@@ -34,7 +34,7 @@ __all__ = ["ADMIN_VERBS", "ROOT", "Grammar", "Message"]
 ROOT: Final = "crkr/@v1/"
 SERVER_VERBS: Final = ("info", "tasks", "create_task")
 TASK_VERBS: Final = ("predict", "report", "status", "spec", "model", "samples", "explain")
-ADMIN_VERBS: Final = ("recost", "remove", "amend", "undo", "refit", "configure", "archive")
+ADMIN_VERBS: Final = ("recost", "remove", "amend", "undo", "refit", "configure", "rollback", "archive")
 SERVED: Final = tuple(zenoh.KeyExpr(ROOT + each) for each in ("rpc/*", "task/*/rpc/*", "task/*/admin/*"))
 
 

@@ -107,6 +107,7 @@ def request(verb: str, spec: Mapping[str, Any], new: Sequence[str], rng: Rng) ->
             "restore": True,
             "reason": "because",
         },
+        "rollback": lambda: {"to": int(rng.integers(1, 40)), "reason": "because"},
         "undo": lambda: {"request": fresh.to_bytes(16, "big"), "worker": "eve", "reason": "because"},
         "remove": lambda: {"ids": known[:1], "reason": "because"},
         "configure": lambda: {

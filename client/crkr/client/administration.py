@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 from uuid import UUID, uuid4
 
-from crkr.protocol import AmendRequest, UndoRequest
+from crkr.protocol import AmendRequest, UndoRequest, check_name
 from crkr.protocol.checks import finite_array
 
 __all__ = ["Administration"]
@@ -82,6 +82,41 @@ class Administration(ABC):
             Invalid: There is nothing to undo.
         """
         return self._admin("undo", UndoRequest(uuid4(), worker, reason).to_wire(), timeout_s)
+
+    def rollback(self, to: int, reason: str = "", *, timeout_s: float | None = None) -> dict[str, Any]:
+        """Makes the policy the one of an earlier version again: what came later no longer counts.
+
+        Later trials, corrections and settings stay in the log; a rollback to a later version brings them back.
+
+        Args:
+            to: The `model_version` to go back to.
+            reason: Kept in the log.
+            timeout_s: Deadline [s].
+
+        Returns:
+            `to`, `seq`, `model_version`.
+
+        Raises:
+            Invalid: There is no such version.
+        """
+        return self._admin("rollback", {"to": to, "reason": reason}, timeout_s)
+
+    def rename(self, name: str, *, timeout_s: float | None = None) -> dict[str, Any]:
+        """Gives the task another name, under which `Client.task` finds it from then on.
+
+        Raises:
+            Invalid: The name cannot be a task's.
+            Conflict: There is a task of that name, or workers train this one.
+        """
+        return self._admin("rename", {"name": check_name(name)}, timeout_s)
+
+    def delete(self, *, timeout_s: float | None = None) -> dict[str, Any]:
+        """Takes the task out of service and frees its name; `crkr purge` removes its data for good.
+
+        Raises:
+            Conflict: Workers train it.
+        """
+        return self._admin("delete", {}, timeout_s)
 
     def remove(self, ids: Sequence[UUID], reason: str = "", *, timeout_s: float | None = None) -> dict[str, Any]:
         """Removes trials from the model; the log keeps them, marked: `removed`, `seq`, `model_version`."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 from typing import Any, final
 from uuid import UUID
@@ -220,6 +221,12 @@ class Knowledge:
                 self.selection.rebuild(eligible)
         self._refresh(True)
         return spec
+
+    def apply_rename(self, seq: int, name: str) -> None:
+        """Gives the task another name, which changes nothing else."""
+        self._check_seqs([seq], 1)
+        self.spec, self.version = replace(self.spec, name=name), seq
+        self._refresh(False)
 
     def apply_fit(self, seq: int, lengthscales: object, signal_variance: object) -> None:
         """Changes the kernel; distances between samples stay measured as they were when the task was created.

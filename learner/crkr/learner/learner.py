@@ -273,6 +273,10 @@ class Learner:
         """Applies new settings at log position `seq`; see `configure`. Fitted numbers stay where none are given."""
         return self._told.apply_configure(seq, changes)
 
+    def apply_rename(self, seq: int, name: str) -> None:
+        """Applies another name of the task at log position `seq`."""
+        self._told.apply_rename(seq, name)
+
     def apply_fit(self, seq: int, lengthscales: object, signal_variance: object) -> None:
         """Applies fitted hyper-parameters at log position `seq`; the selection's length-scales stay.
 

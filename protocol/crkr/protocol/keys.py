@@ -33,7 +33,9 @@ PROTOCOL_VERSION: Final = 1
 ROOT: Final = f"crkr/@v{PROTOCOL_VERSION}"
 SERVER_VERBS: Final = ("info", "tasks", "create_task")
 TASK_VERBS: Final = ("predict", "report", "status", "spec", "model", "samples", "explain")
-ADMIN_VERBS: Final = ("recost", "remove", "amend", "undo", "refit", "configure", "archive")
+ADMIN_VERBS: Final = (
+    "recost", "remove", "amend", "undo", "refit", "configure", "rollback", "rename", "archive", "delete",
+)  # fmt: skip
 NAME: Final = re.compile(r"[a-z0-9][a-z0-9-]{0,62}")
 
 

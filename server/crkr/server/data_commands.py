@@ -1,4 +1,4 @@
-"""`crkr replay` and `crkr backup`: look at a data directory, beside a server that uses it if need be."""
+"""`crkr replay`, `crkr backup` and `crkr purge`: look at a data directory, copy it, rid it of deleted tasks."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-__all__ = ["backup", "replay"]
+__all__ = ["backup", "purge", "replay"]
 
 DataDirectory = Annotated[Path, typer.Argument(help="Data directory of a server.", show_default=False)]
 
@@ -59,6 +59,40 @@ def replay(
         raise StorageError(f"{data} does not agree with itself: {'; '.join(problems)}")
     if not as_json:
         typer.echo(f"{printable(str(data))}: log and model agree, {len(verdicts)} tasks")
+
+
+def purge(
+    data: DataDirectory,
+    yes: Annotated[bool, typer.Option("--yes", help="Remove them; without it they are only listed.")] = False,
+    restore: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Bring this deleted task back, under the name it had.")
+    ] = None,
+) -> None:
+    """List deleted tasks, and with --yes remove them from the log for good: `crkr purge crkr-data --yes`.
+
+    Stop the server first. Backups that were made before keep the tasks.
+    """
+    from crkr.protocol import Invalid, printable
+    from crkr.server.log import DELETED, SqliteLog
+
+    log = SqliteLog(data)
+    try:
+        gone = [name for name in log.reads.tasks() if name.startswith(DELETED)]
+        if restore is not None:
+            if restore not in gone:
+                raise Invalid(f"there is no deleted task {restore!r}; there are: {', '.join(gone) or 'none'}")
+            back = restore.removeprefix(DELETED).partition("/")[0]
+            if back in log.reads.tasks():
+                raise Invalid(f"there is another task {back!r} now; rename that first")
+            log.append_event(restore, "rename", {"name": back})
+            typer.echo(f"{printable(back)} is back")
+            return
+        for name in log.purge() if yes else gone:
+            typer.echo(f"{printable(name)}{' is removed' if yes else ''}")
+        if not gone:
+            typer.echo(f"{printable(str(data))}: no deleted tasks")
+    finally:
+        log.close()
 
 
 def backup(

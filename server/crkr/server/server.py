@@ -15,17 +15,17 @@ from uuid import uuid4
 
 import zenoh
 
-from crkr.learner import Model
+from crkr.learner import Learner, Model
 from crkr.protocol import StorageError, live_server_key, rpc_key, task_key
 from crkr.protocol.keys import admin_key
 from crkr.server.inspection.seal_check import SealCheck
 from crkr.server.learning.fit import DueFit, Fitting
 from crkr.server.learning.notices import Notices
 from crkr.server.learning.radii_cache import RadiiKeeper
-from crkr.server.learning.restore import FEW, restore_all
+from crkr.server.learning.restore import FEW, relearned, restore_all
 from crkr.server.learning.tasks import ServedTask, Tasks
 from crkr.server.learning.thread import Learning
-from crkr.server.log import SqliteLog
+from crkr.server.log import Event, SqliteLog
 from crkr.server.metrics.durations import Durations, Latencies
 from crkr.server.metrics.sources import MetricSources
 from crkr.server.queries.intake import Intake
@@ -116,7 +116,7 @@ class Server:
             raise
         self._latencies, self._workers = Latencies(), Workers()
         self._notices, self._radii = Notices(self._session), RadiiKeeper(self._log)
-        self._learning = Learning(self._learned, self._fit_when_due, self._restart_model)
+        self._learning = Learning(self._learned, self._fit_when_due, self._restart_model, self._relearn)
         self._due: dict[str, DueFit] = {}
         self._lanes: list[Lane[Any]] = []
         self._refuser = Refuser()
@@ -147,7 +147,7 @@ class Server:
             return dict.fromkeys(verbs.split(), made)
 
         # Writes keep their order, and are stored even if the client gave up: a late report is data like any other.
-        changes = "recost remove amend undo configure archive"
+        changes = "recost remove amend undo configure rollback rename archive delete"
         write = lane("write", f"report create_task {changes}", writer.work, MOST_REPORTS, 4096)
         fair: dict[str, Any] = {"fair": True, "patience_s": math.inf}
         quick: dict[str, Any] = {"fair": True, "patience_s": _PATIENCE_S, "longest_s": _LONGEST_S}
@@ -215,6 +215,10 @@ class Server:
     def _restart_model(self, task: ServedTask) -> None:
         """Called by learning when outcomes show that a task's robot has changed."""
         self._writer.restart(task)
+
+    def _relearn(self, task: ServedTask, event: Event) -> Learner:
+        """Called by learning for a rollback."""
+        return relearned(self._log.reads, task, event.body["to"])
 
     def _learned(self, task: ServedTask, before: Model, after: Model) -> None:
         """Publish and cache a new model. Learning calls this for each."""

@@ -50,6 +50,7 @@ def test_defaults_are_those_of_the_paper_or_better_known() -> None:
         "refit_every": 0,
         "start": {"type": "space-filling", "count": 0},
         "cost": "measured",
+        "skill": "",
     }  # fmt: skip
     np.testing.assert_array_equal(spec.centres, [2.0, 0.0])
     np.testing.assert_array_equal(spec.lengthscales, [1.0, 0.5])

@@ -20,7 +20,7 @@ MakeTrial = Callable[..., dict[str, Any]]
 Rng = np.random.Generator
 
 TASK_VERBS = ("predict", "report", "status", "model", "samples", "explain")
-ADMIN_VERBS = ("recost", "remove", "amend", "undo", "refit", "configure", "archive")
+ADMIN_VERBS = ("recost", "remove", "amend", "undo", "refit", "configure", "rollback", "archive")
 WRITES = ("report", *ADMIN_VERBS)
 AT_ONCE = 64
 REFUSALS = {"INVALID", "UNKNOWN_TASK", "UNSUPPORTED", "CONFLICT", "BUSY", "NO_SAMPLES", "NOVEL_STATE"}

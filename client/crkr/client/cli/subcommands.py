@@ -17,8 +17,9 @@ _PANELS: Final[Mapping[str, tuple[str, ...]]] = {
     "Run": ("demo", "server", "workers", "watch"),
     "Ask and report": ("create", "tasks", "status", "predict", "report", "ask", "trials", "explain", "doctor"),
     "Judge": ("page", "evaluate", "oracle", "render", "plot", "experiment", "bench"),
-    "Manage a task": ("amend", "undo", "recost", "remove", "refit", "configure", "archive"),
-    "Data": ("export", "import", "backup", "replay"),
+    "Correct a task": ("amend", "undo", "recost", "remove", "rollback"),
+    "Manage a task": ("refit", "configure", "rename", "archive", "delete"),
+    "Data": ("export", "import", "backup", "replay", "purge"),
 }
 _GROUP_HELP: Final[Mapping[str, str]] = {
     "bench": "Measure this machine, side by side with a bare baseline.\n\nExample: crkr bench predict",

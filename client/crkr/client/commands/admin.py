@@ -1,4 +1,4 @@
-"""`crkr recost`, `remove`, `refit`, `configure` and `archive`."""
+"""`crkr recost`, `remove`, `refit`, `configure`, `rollback`, `rename`, `archive` and `delete`."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from crkr.client.cli.console import json_data, print_json, stderr, stdout, tidy
 from crkr.client.cli.options import Connect, Json, Timeout, ZenohConfig, parse_ids
 from crkr.protocol import Invalid
 
-__all__ = ["archive", "configure", "recost", "refit", "remove", "show_answer"]
+__all__ = ["archive", "configure", "delete", "recost", "refit", "remove", "rename", "rollback", "show_answer"]
 
 _Task = Annotated[str, typer.Argument(help="Name of the task.")]
 _Reason = Annotated[str, typer.Option("--reason", help="Reason, kept in the log.")]
@@ -113,9 +113,60 @@ def archive(
     Example: crkr archive throw --yes
     """
     if not yes:
-        _confirm(task)
+        _confirm(f"End learning of {task} for good?", f"to archive without a question: crkr archive {task} --yes")
     with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
         show_answer(client.task(task).archive(), as_json)
+
+
+def rollback(
+    task: _Task,
+    to: Annotated[int, typer.Option("--to", min=1, help="Model version to go back to.")],
+    reason: _Reason = "",
+    connect: Connect = None,
+    timeout: Timeout = 60.0,
+    zenoh_config: ZenohConfig = None,
+    as_json: Json = False,
+) -> None:
+    """Go back to the policy of an earlier version; nothing is lost, and a later version can be gone back to.
+
+    Example: crkr rollback throw --to 120 --reason "the camera was off since then"
+    """
+    with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
+        show_answer(client.task(task).rollback(to, reason), as_json)
+
+
+def rename(
+    task: _Task,
+    name: Annotated[str, typer.Argument(help="The new name.")],
+    connect: Connect = None,
+    timeout: Timeout = 10.0,
+    zenoh_config: ZenohConfig = None,
+    as_json: Json = False,
+) -> None:
+    """Give a task another name.
+
+    Example: crkr rename throw throw-left
+    """
+    with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
+        show_answer(client.task(task).rename(name), as_json)
+
+
+def delete(
+    task: _Task,
+    yes: Annotated[bool, typer.Option("--yes", help="Do not ask for confirmation.")] = False,
+    connect: Connect = None,
+    timeout: Timeout = 10.0,
+    zenoh_config: ZenohConfig = None,
+    as_json: Json = False,
+) -> None:
+    """Take a task out of service and free its name; the log and its backups keep it until `crkr purge`.
+
+    Example: crkr delete throw --yes
+    """
+    if not yes:
+        _confirm(f"Delete task {task}?", f"to delete without a question: crkr delete {task} --yes")
+    with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
+        show_answer(client.task(task).delete(), as_json)
 
 
 def _settings(changes: list[str]) -> dict[str, Any]:
@@ -137,14 +188,14 @@ def _settings(changes: list[str]) -> dict[str, Any]:
     return settings
 
 
-def _confirm(task: str) -> None:
+def _confirm(question: str, otherwise: str) -> None:
     try:
-        agreed = typer.confirm(f"End learning of {task} for good?", err=True)
+        agreed = typer.confirm(question, err=True)
     except typer.Abort as error:
         if sys.stdin.isatty():
             raise
         stderr.print()  # ends the question's line
-        raise Invalid(f"no answer; to archive without a question: crkr archive {task} --yes") from error
+        raise Invalid(f"no answer; {otherwise}") from error
     if not agreed:
         raise typer.Abort
 

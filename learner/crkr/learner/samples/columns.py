@@ -53,3 +53,12 @@ class TrialColumns:
 
     def __len__(self) -> int:
         return len(self.seqs)
+
+    def where(self, mask: NDArray[np.bool_]) -> TrialColumns:
+        """Those of the trials that a mask (n,) names."""
+        ids, digests = (np.frombuffer(data, "V16")[mask].tobytes() for data in (self.ids, self.digests))
+        states, goals, costs = self.states[mask], self.goals[mask], self.costs[mask]
+        outcomes = None if self.outcomes is None else self.outcomes[mask]
+        return TrialColumns(
+            self.seqs[mask], ids, digests, states, goals, costs, self.kinds[mask], self.flags[mask], outcomes
+        )

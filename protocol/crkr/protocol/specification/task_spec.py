@@ -31,7 +31,9 @@ CHANGEABLE: Final = (
     "novelty_limit",
     "refit_every",
     "kernel",
+    "skill",
 )
+_APART: Final = ("description", "skill")  # for people and commands; two specifications may differ in them
 MAX_DIMENSIONS: Final = 256
 
 
@@ -63,6 +65,7 @@ class TaskSpec:
         refit_every: Eligible samples between evidence fits; 0 is only on request.
         start: What is explored before anything succeeded.
         cost: "measured" in every executed trial; or "label": a trial may leave it out, and success alone says it.
+        skill: What executes its goals, as `crkr workers` names it, so that other commands need not be told.
     """
 
     name: str
@@ -87,6 +90,7 @@ class TaskSpec:
     refit_every: int = 0
     start: Start = field(default_factory=Start)
     cost: str = "measured"
+    skill: str = ""
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any], *, strict: bool = False) -> TaskSpec:
@@ -147,21 +151,20 @@ class TaskSpec:
         return replace(self, **values)
 
     def fingerprint(self) -> str:
-        """SHA-256 of the specification without its description, as 64 hexadecimal digits."""
+        """SHA-256 of the specification without its description and skill, as 64 hexadecimal digits."""
         data = self.to_dict()
-        del data["description"]
+        for name in _APART:
+            del data[name]
         return hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()
 
     def differences(self, other: TaskSpec) -> dict[str, list[Any]]:
-        """Fields, description aside, in which `other` differs: name -> [this, other]."""
+        """Fields, description and skill aside, in which `other` differs: name -> [this, other]."""
         mine, theirs = self.to_dict(), other.to_dict()
         if self.exploration.type == other.exploration.type == "gaussian" or (
             {self.exploration, other.exploration} == {Exploration(type="outcome"), EARLIER_EXPLORATION}
         ):
             del mine["exploration"]  # without effect, or what each version filled in
-        return {
-            name: [mine[name], theirs[name]] for name in mine if name != "description" and mine[name] != theirs[name]
-        }
+        return {name: [mine[name], theirs[name]] for name in mine if name not in _APART and mine[name] != theirs[name]}
 
     @property
     def centres(self) -> Array:
@@ -228,4 +231,5 @@ _SCALARS: Final[Mapping[str, Callable[[object], Any]]] = {
     "refit_every": lambda value: integer(value, "refit_every"),
     "start": Start.from_dict,
     "cost": lambda value: choice(value, "cost", ("measured", "label")),
+    "skill": lambda value: text(value, "skill", longest=1024),
 }

@@ -93,7 +93,9 @@ class StoredRun:
                 if not isinstance(entry, Event):
                     continue
                 self._corrections.note(entry)
-                if entry.kind == "configure":
+                if entry.kind == "rollback":
+                    spec = TaskSpec.from_dict(entry.body["spec"])
+                elif entry.kind == "configure":
                     spec = spec.with_changes(entry.body["changes"])
         except StorageError:
             raise

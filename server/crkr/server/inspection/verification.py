@@ -13,7 +13,7 @@ from crkr.protocol import CrkrError, NoSamples, StorageError, TaskSpec, Trial, U
 from crkr.server.learning.radii_cache import load_radii
 from crkr.server.learning.restore import batches, restore
 from crkr.server.learning.tasks import apply_entries
-from crkr.server.log import Corrections, Event, LogReader
+from crkr.server.log import Corrections, Event, LogReader, Visible
 
 __all__ = ["Verdict", "verify"]
 
@@ -85,6 +85,7 @@ class _Kept:
 
     trial: Trial
     cost: float | None
+    seq: int
     removed: bool = False
 
 
@@ -94,22 +95,29 @@ def _relearn(log: LogReader, name: str, progress: Callable[[int], None]) -> tupl
     if not isinstance(first, Event):
         raise StorageError(f"the log of task {name!r} does not begin with its creation; restore a backup")
     learner, kept = Learner(TaskSpec.from_dict(first.body["spec"])), dict[bytes, _Kept]()
+    visible = Visible.of(log.events(name), log.last(name))
     for batch in batches(entries, _STEP):
-        apply_entries(learner, batch)
+        if isinstance(batch, Event):
+            if batch.seq in visible:
+                apply_entries(learner, batch)
+        elif counted := [entry for entry in batch if entry.seq in visible]:
+            apply_entries(learner, counted)
         if not isinstance(batch, Event):
-            kept |= {entry.trial.id.bytes: _Kept(entry.trial, entry.trial.cost) for entry in batch}
+            kept |= {entry.trial.id.bytes: _Kept(entry.trial, entry.trial.cost, entry.seq) for entry in batch}
         elif batch.kind == "recost":
             for one, cost in zip(batch.body["ids"], batch.body["costs"], strict=True):
                 kept[one].cost = cost
         elif batch.kind == "remove":
             for one in batch.body["ids"]:
                 kept[one].removed = True
-        elif batch.kind == "amend":
+        elif batch.kind in ("amend", "rollback"):
             for one, values in zip(batch.body["ids"], batch.body["values"], strict=True):
                 changed = {name: values[name] for name in ("success", "kind", "learn")}
                 now = replace(kept[one].trial, **changed)
-                kept[one] = _Kept(now, values["cost"], values["removed"])
+                kept[one] = _Kept(now, values["cost"], kept[one].seq, values["removed"])
         progress(learner.version)
+    for one in kept.values():
+        one.removed |= one.seq not in visible
     return learner, kept
 
 

@@ -32,6 +32,8 @@ class RadiiKeeper:
 
     def step(self, task: ServedTask) -> None:
         """Called on the learning thread whenever a task has a new model."""
+        if task.deleted:
+            return
         version, when = self._kept.get(task.name, (0, -np.inf))
         now = time.monotonic()
         if task.model.version > MANY and task.model.version - version >= _EVERY and now - when >= _PAUSE_S:

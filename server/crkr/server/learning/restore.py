@@ -11,13 +11,13 @@ from typing import Final
 
 import numpy as np
 
-from crkr.learner import TrialColumns
+from crkr.learner import Learner, TrialColumns
 from crkr.protocol import KINDS, CrkrError, GoalDimension, StateDimension, StorageError, TaskSpec, UnknownTask
 from crkr.server.learning.radii_cache import load_radii
 from crkr.server.learning.tasks import ServedTask, apply_entries
-from crkr.server.log import Event, LoggedTrial, LogReader
+from crkr.server.log import DELETED, Event, LoggedTrial, LogReader, Visible
 
-__all__ = ["FEW", "batches", "restore", "restore_all"]
+__all__ = ["FEW", "batches", "relearned", "restore", "restore_all"]
 
 logger = logging.getLogger(__name__)
 
@@ -37,7 +37,7 @@ def restore_all(log: LogReader, path: Path) -> list[ServedTask]:
     try:
         with ThreadPoolExecutor(1) as beside:
             damage = beside.submit(log.integrity)
-            tasks = [_restored(log, name) for name in log.tasks()]
+            tasks = [_restored(log, name) for name in log.tasks() if not name.startswith(DELETED)]
         found = damage.result()
     except UnknownTask as error:
         raise StorageError(f"task log {path} lists a task that it does not find; restore a backup") from error
@@ -94,44 +94,60 @@ def restore(log: LogReader, name: str) -> ServedTask:
     if not isinstance(first, Event) or first.kind != "create":
         raise StorageError(f"the log of task {name!r} does not begin with its creation; restore a backup")
     task = ServedTask(TaskSpec.from_dict(first.body["spec"]))
-    if task.name != name:
-        raise StorageError(f"the log of task {name!r} was begun as that of {task.name!r}; restore a backup")
     task.begin(first)
     last, radii = log.last(name), load_radii(log, name)
+    visible = Visible.of(log.events(name), last)
     if last <= FEW:
         with task.learner.bulk():
-            _replay_at_once(task, log.read(name, 1))
+            _replay_at_once(task, log.read(name, 1), visible)
     else:
-        usable = radii is not None and last - FEW <= radii.version <= last
+        usable = radii is not None and last - FEW <= radii.version <= last and radii.version in visible
         upto = radii.version if radii is not None and usable else last
         with task.learner.bulk(radii if usable else None):
-            _replay_blocks(task, log, upto)
-        _replay(task, log.read(name, upto))
+            _replay_blocks(task, log, name, upto, visible)
+        _replay(task, log.read(name, upto), visible)
     task.publish()
+    if task.name != name and not task.deleted:
+        raise StorageError(f"the log of task {name!r} is that of {task.name!r}; restore a backup")
     logger.info("restored task %s at log position %d in %.2f s", name, task.seq, time.monotonic() - started)
     return task
 
 
-def _replay_blocks(task: ServedTask, log: LogReader, upto: int) -> None:
+def relearned(log: LogReader, task: ServedTask, upto: int) -> Learner:
+    """The learner that a task had at a log position, made anew from its log."""
+    before = ServedTask(task.created)
+    visible = Visible.of(log.events(task.name), upto)
+    with before.learner.bulk():
+        _replay_blocks(before, log, task.name, upto, visible)
+    return before.learner
+
+
+def _replay_blocks(task: ServedTask, log: LogReader, name: str, upto: int, visible: Visible) -> None:
     measured = len(task.created.outcome) if task.created.exploration.type == "outcome" else 0
-    for entry in log.blocks(task.name, task.dimensions, len(task.created.goal), measured, upto):
+    for entry in log.blocks(name, task.dimensions, len(task.created.goal), measured, upto):
         if isinstance(entry, Event):
-            task.note(entry)
-            apply_entries(task.learner, entry)
+            _replay_event(task, entry, visible)
         else:
-            task.note_columns(entry)
-            task.learner.apply_columns(entry)
+            _replay_columns(task, entry, visible)
 
 
-def _replay_at_once(task: ServedTask, entries: Iterator[LoggedTrial | Event]) -> None:
+def _replay_at_once(task: ServedTask, entries: Iterator[LoggedTrial | Event], visible: Visible) -> None:
     for batch in batches(entries, _BATCH):
         if isinstance(batch, Event):
-            task.note(batch)
-            apply_entries(task.learner, batch)
+            _replay_event(task, batch, visible)
         else:
-            columns = _columns(batch, len(task.created.outcome))
-            task.note_columns(columns)
-            task.learner.apply_columns(columns)
+            _replay_columns(task, _columns(batch, len(task.created.outcome)), visible)
+
+
+def _replay_event(task: ServedTask, event: Event, visible: Visible) -> None:
+    task.note(event)
+    if event.seq in visible:
+        apply_entries(task.learner, event)
+
+
+def _replay_columns(task: ServedTask, columns: TrialColumns, visible: Visible) -> None:
+    task.note_columns(columns)
+    task.learner.apply_columns(columns if visible.whole else columns.where(visible.mask(columns.seqs)))
 
 
 def _columns(entries: list[LoggedTrial], measured: int) -> TrialColumns:
@@ -151,11 +167,15 @@ def _columns(entries: list[LoggedTrial], measured: int) -> TrialColumns:
     )
 
 
-def _replay(task: ServedTask, entries: Iterator[LoggedTrial | Event]) -> None:
+def _replay(task: ServedTask, entries: Iterator[LoggedTrial | Event], visible: Visible) -> None:
     for batch in batches(entries, _BATCH):
-        for entry in [batch] if isinstance(batch, Event) else batch:
+        if isinstance(batch, Event):
+            _replay_event(task, batch, visible)
+            continue
+        for entry in batch:
             task.note(entry)
-        apply_entries(task.learner, batch)
+        if counted := [entry for entry in batch if entry.seq in visible]:
+            apply_entries(task.learner, counted)
 
 
 def batches(entries: Iterable[LoggedTrial | Event], most: int) -> Iterable[list[LoggedTrial] | Event]:

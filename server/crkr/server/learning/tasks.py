@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import islice
 from typing import Any, Final, final
 from uuid import UUID
@@ -36,6 +37,7 @@ class ServedTask:
         seq: Last committed log position.
         configured: Log position of the last change of its settings.
         archived: Only reads are answered.
+        deleted: Nothing is answered; the log keeps it under another name until it is purged.
         samples: Stored trials by kind as reported, removed ones included.
         corrections: What later events say of the stored trials.
         eligible: Number of trials that may be learned from.
@@ -56,6 +58,7 @@ class ServedTask:
         "corrections",
         "created",
         "damage",
+        "deleted",
         "dimensions",
         "drift",
         "eligible",
@@ -72,7 +75,7 @@ class ServedTask:
     )
 
     def __init__(self, spec: TaskSpec) -> None:
-        self.created: Final = spec
+        self.created = spec
         self.dimensions: Final = len(spec.state)
         self.learner = Learner(spec)
         self.drift = self.learner.drift
@@ -80,7 +83,7 @@ class ServedTask:
         self.model: Model = self.learner.model
         self.spec = self.agreed = spec
         self.seq = self.configured = 1
-        self.archived = False
+        self.archived = self.deleted = False
         self.samples: Counter[str] = Counter()
         self.corrections: Final = Corrections()
         self.eligible = 0
@@ -97,7 +100,7 @@ class ServedTask:
 
     def begin(self, creation: Event) -> None:
         """Note the creation event."""
-        self.log_id = task_id(self.name, f"log/{creation.time.hex()}")
+        self.log_id = task_id(creation.body["spec"]["name"], f"log/{creation.time.hex()}")
 
     def packed_spec(self) -> bytes:
         """The specification in force, encoded once per change."""
@@ -118,6 +121,14 @@ class ServedTask:
         elif entry.kind == "configure":
             self.configured = entry.seq
             self.agreed = self.agreed.with_changes(entry.body["changes"])
+        elif entry.kind == "rollback":
+            self.configured = entry.seq
+            self.agreed = replace(TaskSpec.from_dict(entry.body["spec"]), name=self.name)
+        elif entry.kind == "rename":
+            self.deleted = False  # where it was deleted before
+            self.created, self.agreed = (replace(spec, name=entry.body["name"]) for spec in (self.created, self.agreed))
+        elif entry.kind == "delete":
+            self.deleted = True
 
     def note_columns(self, columns: TrialColumns) -> None:
         """Count committed trials."""
@@ -147,7 +158,7 @@ def hyperparameters(model: Model) -> dict[str, Any]:
 
 @final
 class Tasks:
-    """All tasks by name. The writer adds entries; none is removed.
+    """All tasks by name. The writer changes them.
 
     Lists of entries are copied in one step of the interpreter, so that an addition cannot interfere.
     """
@@ -158,6 +169,14 @@ class Tasks:
     def add(self, task: ServedTask) -> None:
         """Put a task into service."""
         self._by_name[task.name] = task
+
+    def rename(self, before: str, name: str) -> None:
+        """Let a task be found by another name, in its place."""
+        self._by_name = {name if key == before else key: task for key, task in self._by_name.items()}
+
+    def remove(self, name: str) -> None:
+        """Take a task out of service."""
+        self._by_name = {key: task for key, task in self._by_name.items() if key != name}
 
     def find(self, name: str) -> ServedTask | None:
         """The task, or None; raises `Internal` for one that could not be restored."""
@@ -190,6 +209,9 @@ class Tasks:
                 f"no task {name!r} here; there are: {known}{more}; crkr create makes one", details={"task": name}
             )
         return task
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._by_name
 
     def __len__(self) -> int:
         return len(self._by_name)
@@ -226,7 +248,11 @@ def apply_entries(learner: Learner, entries: Sequence[LoggedTrial] | Event) -> A
             return learner.apply_fit(seq, body["lengthscales"], body["signal_variance"])
         case "restart":
             return learner.apply_restart(seq)
-        case "archive":
+        case "rename":
+            return learner.apply_rename(seq, body["name"])
+        case "rollback":  # what it hides is not applied; a name given meanwhile stays
+            return learner.apply_rename(seq, body["spec"]["name"])
+        case "archive" | "delete":
             return learner.apply_configure(seq, {})  # advances the position only
         case "create":  # the learner was made from it
             return None

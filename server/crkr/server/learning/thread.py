@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, Final, final
 
-from crkr.learner import Model
+from crkr.learner import Learner, Model
 from crkr.protocol import Internal
 from crkr.server.learning.tasks import ServedTask, apply_entries
 from crkr.server.log import Event, LoggedTrial
@@ -84,17 +84,22 @@ class Learning:
         notice: Called with task, old model and new model. Two threads may call it at once, for different tasks.
         due: Called with each task whose settings ask for a fit now.
         drifted: Called with each task whose robot has changed, once before the restart of its outcome model is learned.
+        relearn: Makes the learner anew that a task goes back to by a rollback.
 
     Attributes:
         steps: Times of the learning steps, new model included.
     """
 
     def __init__(
-        self, notice: Notice, due: Callable[[ServedTask], None], drifted: Callable[[ServedTask], None]
+        self,
+        notice: Notice,
+        due: Callable[[ServedTask], None],
+        drifted: Callable[[ServedTask], None],
+        relearn: Callable[[ServedTask, Event], Learner] | None = None,
     ) -> None:
         self.steps: Final = Durations()
-        self._notice, self._due, self._drifted = notice, due, drifted
-        self._lines: dict[str, _Line] = {}  # of the tasks that have waiting steps, are held, or were long
+        self._notice, self._due, self._drifted, self._relearn = notice, due, drifted, relearn
+        self._lines: dict[ServedTask, _Line] = {}  # of the tasks that have waiting steps, are held, or were long
         self._lock = threading.Lock()
         self._turns = (_WaitingTasks(self._lock), _WaitingTasks(self._lock))  # of the first thread, and of the second
         self._closing = self._closed = False
@@ -122,7 +127,7 @@ class Learning:
 
     def waiting(self, task: ServedTask) -> tuple[int, int]:
         """The task's trials that wait to be learned, and its steps that requests wait for."""
-        line = self._lines.get(task.name)
+        line = self._lines.get(task)
         return (0, 0) if line is None else (line.trials, line.asked)
 
     def submit(
@@ -141,9 +146,9 @@ class Learning:
         """
         with self._lock:
             if not self._closed:
-                line = self._lines.get(task.name)
+                line = self._lines.get(task)
                 if line is None:
-                    line = self._lines[task.name] = _Line(task)
+                    line = self._lines[task] = _Line(task)
                 line.steps.append(_Step(task, entries, done))
                 line.trials += _size(entries)
                 line.asked += done is not None
@@ -226,7 +231,7 @@ class Learning:
             if line.steps:
                 self._line_up(line)
             elif not long:
-                self._lines.pop(line.task.name, None)
+                self._lines.pop(line.task, None)
             if self._closing:
                 self._wake()
 
@@ -243,7 +248,7 @@ class Learning:
         task, before = group[0].task, group[0].task.model
         result, failure = None, None
         try:
-            result = _learn(task, group, self.steps)
+            result = _learn(task, group, self.steps, self._relearn)
         except BaseException as error:  # a panic or exhausted memory too: this task stops, the others go on
             if not isinstance(error, Exception):
                 FAULTS.note(error)
@@ -266,7 +271,12 @@ class Learning:
                 self._drifted(task)
 
 
-def _learn(task: ServedTask, group: list[_Step], steps: Durations) -> Any:
+def _learn(
+    task: ServedTask,
+    group: list[_Step],
+    steps: Durations,
+    relearn: Callable[[ServedTask, Event], Learner] | None,
+) -> Any:
     """Apply one step, or the trials of several. A learner that failed is not used again: it would skip an entry."""
     entries = group[0].entries
     if not isinstance(entries, Event):
@@ -276,6 +286,8 @@ def _learn(task: ServedTask, group: list[_Step], steps: Durations) -> Any:
     if task.fault:
         raise Internal(task.fault)
     with steps.timing():
+        if isinstance(entries, Event) and entries.kind == "rollback" and relearn is not None:
+            task.learner = relearn(task, entries)
         result = apply_entries(task.learner, entries)
         task.publish()
         if isinstance(entries, Event) and entries.kind == "restart":

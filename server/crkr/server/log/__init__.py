@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from crkr.server.log.corrections import Corrections, values_of
-from crkr.server.log.entries import EVENT_KINDS, Event, LoggedTrial, PendingReport, Stored
+from crkr.server.log.corrections import CORRECTIONS, Corrections, Visible, values_of
+from crkr.server.log.entries import DELETED, EVENT_KINDS, Event, LoggedTrial, PendingReport, Stored
 from crkr.server.log.sqlite_log import SqliteLog
 from crkr.server.log.sqlite_reader import SqliteReader
 from crkr.server.log.task_log import LogReader, TaskLog
 
 __all__ = [
+    "CORRECTIONS",
+    "DELETED",
     "EVENT_KINDS",
     "Corrections",
     "Event",
@@ -19,5 +21,6 @@ __all__ = [
     "SqliteReader",
     "Stored",
     "TaskLog",
+    "Visible",
     "values_of",
 ]

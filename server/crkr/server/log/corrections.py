@@ -1,19 +1,58 @@
-"""What later events of a log say of its trials, so that a trial is handed out as it is today."""
+"""What later events of a log say of its trials: a trial is handed out as it is today, or not learned from any more."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final, final
 from uuid import UUID
 
 import numpy as np
+from numpy.typing import NDArray
 
 from crkr.protocol import array_from_wire, id_from_wire
 from crkr.server.log.entries import Event
 
-__all__ = ["Corrections", "values_of"]
+__all__ = ["CORRECTIONS", "Corrections", "Visible", "values_of"]
 
-_UNDOABLE: Final = frozenset({"recost", "remove", "amend"})
+CORRECTIONS: Final = frozenset({"recost", "remove", "amend"})
+
+
+@final
+class Visible:
+    """Which log positions count at a certain one: a rollback hides those between the one it goes back to and itself.
+
+    Args:
+        rollbacks: Log positions of the rollbacks, ascending, and where each goes back to.
+        upto: The last position that counts.
+    """
+
+    def __init__(self, rollbacks: Sequence[tuple[int, int]], upto: int) -> None:
+        spans: list[tuple[int, int]] = []
+        for seq, to in reversed(rollbacks):
+            if seq <= upto:
+                spans.append((seq, upto))
+                upto = to
+        self.spans: Final = [(1, upto), *reversed(spans)]  # first and last positions, ascending
+
+    @classmethod
+    def of(cls, events: Iterable[Event], upto: int) -> Visible:
+        """By a task's events."""
+        return cls([(event.seq, event.body["to"]) for event in events if event.kind == "rollback"], upto)
+
+    @property
+    def whole(self) -> bool:
+        """Nothing is hidden."""
+        return len(self.spans) == 1
+
+    def __contains__(self, seq: int) -> bool:
+        return any(first <= seq <= last for first, last in self.spans)
+
+    def mask(self, seqs: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Which of many positions count."""
+        counted = np.zeros(len(seqs), dtype=np.bool_)
+        for first, last in self.spans:
+            counted |= (seqs >= first) & (seqs <= last)
+        return counted
 
 
 @final
@@ -28,6 +67,8 @@ class Corrections:
         self.undone: dict[UUID, int] = {}
         self._values: dict[bytes, dict[str, Any]] = {}  # of amended trials; a changed one is another map
         self._undoable: list[int] = []  # log positions, ascending
+        self._rollbacks: list[tuple[int, int]] = []
+        self._visible = Visible((), 2**62)
 
     @property
     def newest(self) -> int | None:
@@ -37,7 +78,12 @@ class Corrections:
     def note(self, event: Event) -> None:
         """Follow one event."""
         body = event.body
-        if event.kind not in _UNDOABLE:
+        if event.kind == "rollback":
+            self._values.update(zip(body["ids"], body["values"], strict=True))
+            self._undoable = [seq for seq in self._undoable if seq <= body["to"]]
+            self._rollbacks.append((event.seq, body["to"]))
+            self._visible = Visible(self._rollbacks, 2**62)
+        if event.kind not in CORRECTIONS:
             return
         ids: Sequence[bytes] = body["ids"]
         if event.kind == "amend":
@@ -60,19 +106,22 @@ class Corrections:
 
     def present(self, entry: dict[str, Any]) -> dict[str, Any]:
         """A trial as a log hands it out, a wire map, with today's values."""
-        identity = entry["id"]
-        values = self._values.get(identity)
+        hidden, values = self.hides(entry), self._values.get(entry["id"])
         if values is None:
-            return entry
+            return {**entry, "removed": True} if hidden else entry
         kept = {name: value for name, value in entry.items() if name not in ("learn", "outcome", "removed")}
         now = {name: values[name] for name in ("cost", "success", "kind")}
         if values["outcome"] is not None:
             now["outcome"] = np.array(values["outcome"], dtype=np.float64)
         if values["learn"] is not None:
             now["learn"] = values["learn"]
-        if values["removed"]:
+        if values["removed"] or hidden:
             now["removed"] = True
         return kept | now
+
+    def hides(self, entry: Mapping[str, Any]) -> bool:
+        """Whether the task was rolled back to before a trial."""
+        return not self._visible.whole and entry["seq"] not in self._visible
 
 
 def values_of(entry: Mapping[str, Any]) -> dict[str, Any]:

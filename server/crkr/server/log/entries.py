@@ -8,9 +8,13 @@ from typing import Any, Final, final
 
 from crkr.protocol import Trial
 
-__all__ = ["EVENT_KINDS", "Event", "LoggedTrial", "PendingReport", "Stored"]
+__all__ = ["DELETED", "EVENT_KINDS", "Event", "LoggedTrial", "PendingReport", "Stored"]
 
-EVENT_KINDS: Final = ("create", "recost", "remove", "amend", "configure", "fit", "archive", "restart")
+EVENT_KINDS: Final = (
+    "create", "recost", "remove", "amend", "configure", "fit", "restart", "rollback", "rename", "archive", "delete",
+)  # fmt: skip
+DELETED: Final = "deleted/"
+"""How the names of deleted tasks begin in a log; no task of a key is called so."""
 
 
 @final
@@ -40,7 +44,8 @@ class Event:
         kind: One of `EVENT_KINDS`.
         body: Its numbers as plain data: the specification of a create, ids and costs of a recost, ids of a remove,
             ids and new values of an amend, changes of a configure, the resulting numbers of a fit; nothing of an
-            archive and of a restart. What was before stands in `was`, and what is taken back in `undoes`.
+            archive and of a restart, the position and the values to go back to of a rollback, the new name of a rename
+            and of a delete. What was before stands in `was`, and what is taken back in `undoes`.
     """
 
     seq: int

@@ -16,7 +16,7 @@ from crkr.protocol import Conflict, StorageError, TaskSpec, Trial, id_from_wire,
 from crkr.server.log.acknowledged_count import TALLY_NAME, Tally, lost_end, read_tally
 from crkr.server.log.data_files import LOCAL_DISK, check_database_files, file_system_of, identities, identity, is_remote
 from crkr.server.log.directory_lock import DirectoryLock
-from crkr.server.log.entries import Event, LoggedTrial, PendingReport, Stored
+from crkr.server.log.entries import DELETED, Event, LoggedTrial, PendingReport, Stored
 from crkr.server.log.journal_check import refuse_foreign_journal
 from crkr.server.log.rows import DIGEST_BYTES, ROW_COLUMNS, TRIAL_COLUMNS, body_digest, changed_digest, trial_row
 from crkr.server.log.schema import FILE_NAME, check_schema, connect, open_database, storage_errors
@@ -131,15 +131,39 @@ class SqliteLog:
             elif kind == "remove":
                 for identity in body["ids"]:
                     _mark(connection, key, id_from_wire(identity).bytes, removed=True)
-        self._last[task] = seq
+            elif kind in ("rename", "delete"):
+                connection.execute("UPDATE task SET name = ? WHERE id = ?", (body["name"], key))
+        name = str(body["name"]) if kind in ("rename", "delete") else task
+        del self._keys[task], self._last[task]
+        self._keys[name], self._last[name] = key, seq
         return event
+
+    def purge(self) -> list[str]:
+        """Remove deleted tasks for good; returns the names that they had in the log."""
+        gone = [name for name in self._last if name.startswith(DELETED)]
+        left = self._positions - sum(self._last[name] for name in gone)
+        with self._transaction("purge the deleted tasks") as connection:
+            for name in gone:
+                for table, column in (("trial", "task"), ("event", "task"), ("cache", "task"), ("task", "id")):
+                    connection.execute(f"DELETE FROM {table} WHERE {column} = ?", (self._keys[name],))
+            self._tally.note(left)  # first, so that it never runs ahead of the log
+            self._positions = left
+        for name in gone:
+            del self._keys[name], self._last[name]
+        if gone:
+            with self._writing, storage_errors("shrink the task log"):
+                self._writer.execute("VACUUM")
+        return gone
 
     def save_cache(self, task: str, version: int, data: bytes) -> None:
         """Cache bytes that belong to a log position, replacing earlier ones."""
+        key = self._keys.get(task)
+        if key is None:  # renamed or deleted just now
+            return
         with self._transaction(f"store the cache of task {task!r}") as connection:
             connection.execute(
                 "INSERT OR REPLACE INTO cache (task, version, data, digest) VALUES (?, ?, ?, ?)",
-                (self._keys[task], version, data, body_digest(f"cache {version}", data)),
+                (key, version, data, body_digest(f"cache {version}", data)),
             )
 
     def close(self) -> None:

@@ -93,7 +93,11 @@ class TaskLog(Protocol):
         ...
 
     def append_event(self, task: str, kind: str, body: Mapping[str, Any]) -> Event:
-        """Store an event and update the trials it names."""
+        """Store an event and update the trials it names; a `rename` or `delete` gives the task the name in its body."""
+        ...
+
+    def purge(self) -> list[str]:
+        """Remove deleted tasks for good; returns the names that they had in the log."""
         ...
 
     def save_cache(self, task: str, version: int, data: bytes) -> None:

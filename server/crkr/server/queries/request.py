@@ -44,9 +44,8 @@ _LONGEST_REPLY_KEY: Final = 65_533
 _MOST_BESIDE: Final = 2**16  # bytes of an attachment and parameters, which the protocol hardly uses
 # Bytes of the messages that hold little; all others are bounded by MAX_MESSAGE_BYTES.
 _MOST_BYTES: Final[Mapping[str, int]] = {
-    **dict.fromkeys(
-        ("info", "tasks", "status", "spec", "model", "samples", "explain", "refit", "archive", "undo"), 2**16
-    ),
+    **dict.fromkeys(("info", "tasks", "status", "spec", "model", "samples", "explain"), 2**16),
+    **dict.fromkeys(("refit", "undo", "rollback", "rename", "archive", "delete"), 2**16),
     **dict.fromkeys(("create_task", "configure", "recost", "remove", "amend"), 2**20),
 }
 _LONGEST_ENCODING: Final = 256  # characters

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, TypeAlias, final
-from uuid import UUID
+from uuid import UUID, uuid4
 
 from crkr.protocol import (
     AmendRequest,
@@ -14,6 +14,7 @@ from crkr.protocol import (
     StoredTrial,
     Unsupported,
     check_model_fits,
+    check_name,
     id_from_wire,
     pack,
     refuse_absurd,
@@ -24,7 +25,7 @@ from crkr.protocol.codec import array_from_wire
 from crkr.protocol.errors import shown
 from crkr.protocol.specification.task_spec import CHANGEABLE
 from crkr.server.learning.tasks import ServedTask, hyperparameters
-from crkr.server.log import values_of
+from crkr.server.log import DELETED, values_of
 
 __all__ = ["Answer", "Change", "amendment", "read_change", "refuse_unknown", "removal"]
 
@@ -157,6 +158,16 @@ def _archive(_message: Mapping[str, Any], _task: ServedTask) -> Change:
     return Change("archive", {}, lambda _task, _: {"archived": True})
 
 
+def _rename(message: Mapping[str, Any], _task: ServedTask) -> Change:
+    name = check_name(required(message, "name"), "new task name")
+    return Change("rename", {"name": name}, lambda task, _: {"name": task.name})
+
+
+def _delete(_message: Mapping[str, Any], task: ServedTask) -> Change:
+    kept = f"{DELETED}{task.name}/{task.seq}-{uuid4().hex[:8]}"
+    return Change("delete", {"name": kept}, lambda _task, _: {"deleted": True})
+
+
 def refuse_unknown(task: str, ids: Sequence[UUID], found: Sequence[Mapping[str, Any]]) -> None:
     """Raise `Invalid` if some of the ids are not among the trials that were found."""
     known = {trial["id"] for trial in found}
@@ -177,5 +188,7 @@ _READERS: Final[Mapping[str, Callable[[Mapping[str, Any], ServedTask], Change]]]
     "remove": _remove,
     "amend": _amend,
     "configure": _configure,
+    "rename": _rename,
     "archive": _archive,
+    "delete": _delete,
 }

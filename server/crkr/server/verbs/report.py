@@ -16,7 +16,9 @@ from crkr.protocol import (
     ShuttingDown,
     StorageError,
     TaskSpec,
+    UnknownTask,
     check_model_fits,
+    id_from_wire,
     refuse_absurd,
 )
 from crkr.server.learning.tasks import ServedTask, Tasks
@@ -27,6 +29,7 @@ from crkr.server.metrics.durations import Durations
 from crkr.server.queries.queue import busy
 from crkr.server.queries.request import Job, Request
 from crkr.server.verbs.admin import Change, read_change, refuse_unknown
+from crkr.server.verbs.rollback import read_rollback
 from crkr.server.verbs.undo import read_undo
 from crkr.server.workers import Workers
 
@@ -35,7 +38,9 @@ __all__ = ["MOST_REPORTS", "Writer", "refuse_archived"]
 logger = logging.getLogger(__name__)
 
 MOST_REPORTS: Final = 256  # in one commit
-_KNOWN_BEFORE: Final = frozenset({"archive", "fit"})  # the learner alone knows the effect of other changes
+_BY_LOG: Final = {"undo": read_undo, "rollback": read_rollback}  # verbs that look up what was before
+_WHERE: Final = frozenset({"rename", "delete"})  # changes of where a task is, not of what it learned
+_KNOWN_BEFORE: Final = _WHERE | {"archive", "fit"}  # the learner alone knows the effect of other changes
 _MOST_BACKLOG: Final = 20_000  # committed trials of a task that wait to be learned
 _MOST_BACKLOG_OF_ALL: Final = 100_000  # of all tasks, so that a slow one leaves room for the others
 _MOST_ASKED: Final = 1024  # waiting steps of a task; a commit of reports may exceed it
@@ -174,8 +179,8 @@ class Writer:
 
     def _change(self, request: Request) -> None:
         task = self._tasks.get(request.task)
-        if request.verb == "undo":
-            change = read_undo(request.message(), task, self._log.reads)
+        if request.verb in _BY_LOG:
+            change = _BY_LOG[request.verb](request.message(), task, self._log.reads)
         else:
             change = read_change(request.verb, request.message(), task)
         self._refuse_when_full(request, task)
@@ -189,6 +194,8 @@ class Writer:
             Invalid: The task is archived, or has no such trial.
         """
         with self._order:
+            if task.deleted:
+                raise UnknownTask(f"task {task.name!r} was deleted meanwhile", details={"task": task.name})
             if configured is not None and task.configured != configured:
                 raise Conflict(f"task {task.name!r} was configured anew meanwhile; ask again")
             self._commit_change(task, change, request)
@@ -196,7 +203,7 @@ class Writer:
     def restart(self, task: ServedTask) -> None:
         """Commits that the robot has changed: the outcome model restarts from the newest trials. For learning."""
         with self._order:
-            if task.archived:
+            if task.archived or task.deleted:
                 return
             with self.commits.timing():
                 event = self._log.append_event(task.name, "restart", {})
@@ -208,11 +215,17 @@ class Writer:
         if task.archived and change.kind == "archive":  # a repeat, perhaps because the answer was lost
             self._await(task, (), task.seq, change, request)
             return
-        refuse_archived(task)
+        if change.kind in _WHERE:
+            self._refuse_in_use(task, change)
+        else:
+            refuse_archived(task)
         body: Mapping[str, Any] | None = change.body
         if change.ids:
             found = self._log.reads.trials(task.name, change.ids)
             refuse_unknown(task.name, change.ids, found)
+            for trial in found:
+                if task.corrections.hides(trial):
+                    raise Invalid(f"task {task.name!r} was rolled back to before trial {id_from_wire(trial['id'])}")
             if change.complete is not None:
                 body = change.complete([task.corrections.present(trial) for trial in found])
         if body is None:
@@ -220,10 +233,24 @@ class Writer:
             return
         with self.commits.timing():
             event = self._log.append_event(task.name, change.kind, body)
+        name = task.name
         task.note(event)
-        logger.info("%s of task %s at log position %d", change.kind, task.name, event.seq)
-
+        logger.info("%s of task %s at log position %d", change.kind, name, event.seq)
+        if change.kind == "rename":
+            self._tasks.rename(name, task.name)
+        elif change.kind == "delete":
+            self._tasks.remove(name)
         self._await(task, event, event.seq, change, request)
+
+    def _refuse_in_use(self, task: ServedTask, change: Change) -> None:
+        """Raise `Conflict` for a task that workers train, or whose new name is taken."""
+        alive = [worker["id"] for worker in self._workers.status(task.name) if worker["state"] == "alive"]
+        if alive:
+            raise Conflict(
+                f"task {task.name!r} has {len(alive)} workers, {alive[0]!r} among them; end them before a {change.kind}"
+            )
+        if change.kind == "rename" and change.body["name"] in self._tasks:
+            raise Conflict(f"there is a task {change.body['name']!r} already; choose another name")
 
     def _await(self, task: ServedTask, event: Event | tuple[()], seq: int, change: Change, request: Job) -> None:
         """Answer once the model includes the event, or the server stops."""

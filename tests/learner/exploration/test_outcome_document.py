@@ -9,6 +9,7 @@ from typing import Any
 
 from crkr.learner import Learner
 from crkr.learner.exploration.outcome_index import SEARCHED
+from crkr.learner.exploration.sealed_trials import UNIT
 from crkr.protocol import TaskSpec
 from crkr.protocol.specification.settings import MOST_TRIALS
 
@@ -26,5 +27,6 @@ def test_the_settings_shown_are_the_defaults() -> None:
 
 
 def test_the_number_of_searched_trials_is_the_one_told_and_the_most_that_can_be_asked_for() -> None:
-    assert f"newest {SEARCHED:,} trials".replace(",", " ") in PAGE
+    told = f"newest {SEARCHED - UNIT:,} to {SEARCHED:,} trials".replace(",", " ")
+    assert told in PAGE
     assert SEARCHED == MOST_TRIALS

@@ -16,8 +16,8 @@ from crkr.protocol import Array
 def observed(X: Array, seen: NDArray[np.bool_]) -> ObservedTrials:
     single, fits = in_single_precision(X)
     hidden = [np.where(one, 0, np.inf).astype(np.float32) for one in seen.T]
-    nowhere = (np.zeros(len(X), dtype=np.bool_) for _ in range(3))
-    return ObservedTrials.of(X, single, fits, np.zeros((len(X), seen.shape[1])), hidden, *nowhere)
+    nowhere = np.zeros(len(X), dtype=np.bool_)
+    return ObservedTrials.of(X, single, fits, np.zeros((len(X), seen.shape[1])), hidden, nowhere, nowhere, nowhere)
 
 
 def assert_nearest(trials: ObservedTrials, seen: NDArray[np.bool_], x: Array, count: int) -> None:

@@ -87,8 +87,7 @@ class OutcomeExplorer:
         changed: bool = False,
     ) -> OutcomeExplorer:
         """The same with other trials to look up, and what they say of the model."""
-        groups = range(len(self.scales.groups))
-        enough = tuple(group for group in groups if trials.counts[group] >= self.settings.min_trials)
+        enough = trials.enough(self.settings.min_trials)
         return replace(self, trials=trials, groups=enough, calibration=calibration, changed=changed)
 
     @property
@@ -102,15 +101,15 @@ class OutcomeExplorer:
 
     @property
     def searched(self) -> int:
-        """The tried goals, once enough outcomes were observed."""
-        return len(self.trials) if self.guides else 0
+        """The newest tried goals, once enough outcomes were observed: all of them are looked through."""
+        return len(self.trials.newest()) if self.guides else 0
 
     def best_tried(self, states: Array) -> Array:
-        """(p,) or (b, p) tried goals whose outcome should be nearest to the target in these states.
+        """(p,) or (b, p) of the newest tried goals, whose outcome should be nearest to the target in these states.
 
         A trial counts by its squared outcome, by how far its state is, and against it by what was not observed.
         """
-        trials, d = self.trials, self.trials.X.shape[1] - len(self.scales.scales)
+        trials, d = self.trials.newest(), self.trials.X.shape[1] - len(self.scales.scales)
         entries = np.concatenate([self.scales.groups[group] for group in self.groups])
         o = trials.Y[:, entries]
         o = np.where(self.scales.one_sided[entries] * o > 0, 0.0, o)

@@ -2,9 +2,9 @@
 
     X  (n, d + p)  trials in the metric of `OutcomeScales`      Y  (n, q)  outcomes in tolerances from the target
 
-Rows are only appended, so that a snapshot is a view: it costs nothing, and later trials do not touch it. Only the
-newest `SEARCHED` trials are kept at hand: a look through 20 000 of 19 numbers takes about 0.1 ms, and what was tried
-long ago is seldom nearer than what the policy tries now. Older ones come back where newer ones are removed.
+Rows are only appended, so that a snapshot is a view: it costs nothing, and later trials do not touch it. The newest
+`SEARCHED` trials at most are all looked through, which takes about 0.1 ms; older ones are sealed in leaves of
+neighbours, of which a few are looked through (see `SealedTrials`).
 """
 
 from __future__ import annotations
@@ -17,33 +17,33 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crkr.learner.exploration.outcome_scales import OutcomeScales
+from crkr.learner.exploration.sealed_trials import UNIT, SealedTrials, Single
 from crkr.learner.samples.growable_array import Growable
 from crkr.learner.samples.store import SampleStore
 from crkr.learner.selection.anms_batch import Indices
 from crkr.protocol import Array
 
-__all__ = ["LARGEST_SINGLE", "MARGIN", "SEARCHED", "ObservedTrials", "OutcomeIndex", "in_single_precision"]
+__all__ = ["LARGEST_SINGLE", "SEARCHED", "ObservedTrials", "OutcomeIndex", "in_single_precision"]
 
 SEARCHED: Final = 20_000
-MARGIN: Final = 1_000  # older ones at hand, for what was searched when the newest came
+_UNSEALED: Final = SEARCHED - UNIT  # newest trials that are not sealed, at least
 LARGEST_SINGLE: Final = 1e30  # squared length up to which distances are compared in single precision
 _ALIGNED: Final = 4  # numbers of a row, by which matrix products go through it fastest
-
-
-Single = NDArray[np.float32]
 
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class ObservedTrials:
-    """The searched trials at one moment, oldest first; every array is read-only.
+    """The trials at one moment, oldest first; every array is read-only.
 
     Attributes:
         X: (n, d + p) trials in the metric.
-        single: (n, *) their coordinates, squared length and some zeros, in single precision.
-        fits_single: Whether all of these lengths are at most `LARGEST_SINGLE`.
+        single: (m, *) coordinates, squared length and some zeros of the newest, which are not sealed, in single
+            precision.
+        fits_single: Whether all lengths are at most `LARGEST_SINGLE`.
         Y: (n, q) outcomes in tolerances from the target, NaN where not observed.
-        counts: For each group in how many it was observed.
+        sealed: The n - m older trials.
+        counts: For each group in how many of the newest m it was observed.
         hidden: For each group (n,) infinity where it was not observed, else 0; None where it was in all. After the
             groups comes one more, `everything`, which is hidden nowhere.
         refused: (n,) which goals were refused, not executed.
@@ -56,6 +56,7 @@ class ObservedTrials:
     single: Single
     fits_single: bool
     Y: Array
+    sealed: SealedTrials
     counts: tuple[int, ...]
     hidden: tuple[Single | None, ...]
     refused: NDArray[np.bool_]
@@ -74,16 +75,24 @@ class ObservedTrials:
         refused: NDArray[np.bool_],
         success: NDArray[np.bool_],
         shown: NDArray[np.bool_],
+        sealed: SealedTrials | None = None,
+        before: tuple[Sequence[int], int] | None = None,
     ) -> ObservedTrials:
-        """Those of which `hidden` says where a group is hidden; the arrays become read-only."""
+        """Those of which `hidden` says where a group is hidden; the arrays become read-only.
+
+        `before` are the numbers of sealed trials in which each group is hidden, and of the refused among them.
+        """
+        sealed = SealedTrials.nothing(single.shape[1]) if sealed is None else sealed
+        old_hidden, old_refused = ([0] * len(hidden), 0) if before is None else before
         arrays: list[NDArray[Any]] = [X, single, Y, *hidden, refused, success, shown]
         for array in arrays:
             array.setflags(write=False)
-        counts = tuple(len(X) - int(np.count_nonzero(own)) for own in hidden)
-        partly = (own if count < len(X) else None for own, count in zip(hidden, counts, strict=True))
-        return cls(
-            X, single, fits_single, Y, (*counts, len(X)), (*partly, None), refused, bool(refused.any()), success, shown
-        )
+        first = len(X) - len(single)
+        newly = [int(np.count_nonzero(own[first:])) for own in hidden]
+        partly = (own if new + old else None for own, new, old in zip(hidden, newly, old_hidden, strict=True))
+        any_refused = old_refused > 0 or bool(refused[first:].any())
+        counts = (*(len(single) - new for new in newly), len(single))
+        return cls(X, single, fits_single, Y, sealed, counts, (*partly, None), refused, any_refused, success, shown)
 
     @property
     def everything(self) -> int:
@@ -92,6 +101,27 @@ class ObservedTrials:
 
     def __len__(self) -> int:
         return len(self.X)
+
+    def enough(self, least: int) -> tuple[int, ...]:
+        """The groups that were observed in this many of the newest trials, as far as so many are not sealed."""
+        return tuple(group for group in range(self.everything) if self.counts[group] >= min(least, _UNSEALED))
+
+    def newest(self) -> ObservedTrials:
+        """Those that are not sealed."""
+        first = len(self) - len(self.single)
+        if not first:
+            return self
+        hidden = [np.zeros(len(self), np.float32) if own is None else own for own in self.hidden[:-1]]
+        return ObservedTrials.of(
+            self.X[first:],
+            self.single,
+            self.fits_single,
+            self.Y[first:],
+            [own[first:] for own in hidden],
+            self.refused[first:],
+            self.success[first:],
+            self.shown[first:],
+        )
 
 
 def in_single_precision(X: Array) -> tuple[Single, bool]:
@@ -111,14 +141,13 @@ class OutcomeIndex:
     Args:
         scales: The task's.
         store: The trials.
-        searched: How many of the newest are looked at.
 
     Attributes:
         start: First row of the store that counts.
     """
 
-    def __init__(self, scales: OutcomeScales, store: SampleStore, searched: int = SEARCHED) -> None:
-        self._scales, self._store, self._searched = scales, store, searched
+    def __init__(self, scales: OutcomeScales, store: SampleStore) -> None:
+        self._scales, self._store = scales, store
         self.start = 0
         self._clear()
 
@@ -132,6 +161,8 @@ class OutcomeIndex:
         self._hidden = [Growable(np.float32) for _ in self._scales.groups]
         self._refused, self._success, self._shown = (Growable(np.bool_) for _ in range(3))
         self._rows = Growable(np.int64)
+        self._sealed = [SealedTrials.nothing(self._single.rows.shape[1])]  # now, and one unit before
+        self._sealed_counts: list[tuple[tuple[int, ...], int]] = [((0,) * len(self._hidden), 0)]  # after each unit
         self._snapshot: ObservedTrials | None = None
 
     def extend(self, rows: Indices) -> bool:
@@ -139,9 +170,6 @@ class OutcomeIndex:
         rows = self.usable(rows)
         if not len(rows):
             return False
-        if len(self._rows) + len(rows) > 2 * (self._searched + MARGIN):
-            rows = np.concatenate([self._rows.rows, rows])[-(self._searched + MARGIN) :]
-            self._clear()
         points = self._scales.points(self._store.states[rows], self._store.goals[rows])
         deviations = self._scales.deviations(self._store.outcomes[rows])
         single, fits_single = in_single_precision(points)
@@ -159,6 +187,12 @@ class OutcomeIndex:
         hidden = np.where(self._scales.observed(deviations), 0.0, np.inf)
         for column, values in (*columns, *zip(self._hidden, hidden.T, strict=True)):
             column.extend(values)
+        units = _sealed_units(len(self))
+        if units > self._sealed[-1].units:
+            before = self._sealed[-1]
+            if units > before.units + 1:
+                before = self._with_sealed(before, units - 1)
+            self._sealed = [before, self._with_sealed(before, units)]
         self._snapshot = None
         return True
 
@@ -170,7 +204,7 @@ class OutcomeIndex:
     def rebuild(self, rows: Indices) -> None:
         """Starts again with some rows of the store."""
         self._clear()
-        self.extend(rows[-(self._searched + MARGIN) :])
+        self.extend(rows)
 
     def __len__(self) -> int:
         return len(self._rows)
@@ -182,14 +216,34 @@ class OutcomeIndex:
         return self._snapshot
 
     def before(self, position: int) -> ObservedTrials:
-        """What was searched when the trial at this position came, of those at hand."""
-        part = slice(max(0, position - self._searched), position)
-        X, single, Y = (column.rows[part] for column in (self._X, self._single, self._Y))
-        hidden = [column.rows[part] for column in self._hidden]
-        flags = (column.rows[part] for column in (self._refused, self._success, self._shown))
-        return ObservedTrials.of(X, single, self._fits_single, Y, hidden, *flags)
+        """What was searched when the trial at this position came."""
+        units = _sealed_units(position)
+        sealed = next((one for one in self._sealed if one.units == units), None)
+        if sealed is None:  # long ago
+            sealed = self._with_sealed(SealedTrials.nothing(self._single.rows.shape[1]), units)
+        X, Y = self._X.rows[:position], self._Y.rows[:position]
+        single = self._single.rows[units * UNIT : position]
+        hidden = [column.rows[:position] for column in self._hidden]
+        refused, success, shown = (column.rows[:position] for column in (self._refused, self._success, self._shown))
+        older = sealed, self._sealed_counts[units]
+        return ObservedTrials.of(X, single, self._fits_single, Y, hidden, refused, success, shown, *older)
+
+    def _with_sealed(self, sealed: SealedTrials, units: int) -> SealedTrials:
+        """With more units, whose counts are noted."""
+        for number in range(len(self._sealed_counts) - 1, units):
+            unit = slice(number * UNIT, (number + 1) * UNIT)
+            hidden, refused = self._sealed_counts[-1]
+            newly = [int(np.count_nonzero(column.rows[unit])) for column in self._hidden]
+            total = tuple(old + new for old, new in zip(hidden, newly, strict=True))
+            self._sealed_counts.append((total, refused + int(np.count_nonzero(self._refused.rows[unit]))))
+        return sealed.extended(self._single.rows, units, self._X.rows.shape[1])
 
     def usable(self, rows: Indices) -> Indices:
         """Those of some rows that tell what a goal leads to, from the row `start` on."""
         rows = rows[rows >= self.start]
         return np.asarray(rows[self._store.tried(rows)])
+
+
+def _sealed_units(count: int) -> int:
+    """How many units are sealed after a number of trials."""
+    return max(0, count - _UNSEALED) // UNIT

@@ -1,9 +1,11 @@
-"""The executed trials nearest to each of several points, exactly, and the same whatever points are asked for together.
+"""The executed trials nearest to each of several points, the same whatever points are asked for together.
 
     X  (n, r)  trials in the metric       x  (b, r)  points       D  (b, k, r)  neighbours minus their point
 
 Where trials are many, one matrix product in single precision gives all distances, with a rounding error that depends on
 its neighbours in the product. Hence they only say which trials may be among the nearest: those are measured again.
+
+Of sealed trials only those near by are looked at, point by point.
 """
 
 from __future__ import annotations
@@ -52,8 +54,38 @@ def nearest(trials: ObservedTrials, x: Array, groups: Sequence[int], count: int)
         groups: Which groups; each was observed in at least `count` trials.
         count: k, at least 1.
     """
+    if trials.sealed.units:
+        return _among_sealed(trials, x, groups, count)
     search = _among_few if len(trials) < _FEW * count else _among_many
     return search(trials, x, groups, count)
+
+
+def _among_sealed(trials: ObservedTrials, x: Array, groups: Sequence[int], count: int) -> Neighbours:
+    each = [_around_one(trials, point[None], groups, count) for point in x]
+    return Neighbours(*(np.concatenate(parts, axis=1) for parts in zip(*each, strict=True)))
+
+
+def _around_one(trials: ObservedTrials, x: Array, groups: Sequence[int], count: int) -> Neighbours:
+    """The same for one point x (1, r), among the newest trials and those sealed ones that are probably near."""
+    r, squares = x.shape[1], np.vecdot(x, x)
+    factors = np.zeros(trials.single.shape[1], dtype=np.float32)
+    with np.errstate(over="ignore"):
+        factors[:r], factors[r] = -2.0 * x[0], 1.0
+    old, theirs = trials.sealed.around(factors, r)
+    rows = np.concatenate([old, np.arange(len(trials) - len(trials.single), len(trials))])
+    if trials.fits_single and squares.max() <= LARGEST_SINGLE:
+        rough: Rough = np.concatenate([theirs @ factors, trials.single @ factors])
+    else:
+        near = trials.X[rows]
+        rough = np.vecdot(near, near) - 2.0 * (near @ x[0])
+    found = []
+    for group in groups:
+        hidden = trials.hidden[group]
+        own = rough if hidden is None else rough + hidden[rows]
+        bound = _bound(own[None, None], squares, r, count)[0, 0]
+        near = np.sort(rows[own <= bound])
+        found.append(_measured(trials, x, np.zeros_like(near), near, count))
+    return Neighbours(*(np.concatenate(parts)[:, None] for parts in zip(*found, strict=True)))
 
 
 def _among_few(trials: ObservedTrials, x: Array, groups: Sequence[int], count: int) -> Neighbours:

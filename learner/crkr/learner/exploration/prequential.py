@@ -127,7 +127,7 @@ class PrequentialRecord:
     def _add(self, before: ObservedTrials, after: ObservedTrials) -> None:
         self._count += 1
         own = self._settings
-        groups = [group for group in range(len(self._scales.groups)) if before.counts[group] >= own.min_trials]
+        groups = before.enough(own.min_trials)
         if groups:
             d = after.X.shape[1] - len(self._scales.scales)
             z, goal = after.X[-1:, :d], after.X[-1:, d:] / GOAL_SHARE

@@ -239,6 +239,25 @@ def test_costs_are_corrected_and_trials_removed(make_policy: MakePolicy) -> None
     assert policy.explain([0.0, 0.0], ids[2]).sample is not None
 
 
+def test_an_explanation_says_what_the_goal_rests_on(make_policy: MakePolicy) -> None:
+    policy = make_policy(novel="refuse", novelty_limit=0.5)
+    ids = teach(policy, 30)
+    policy.report(state=[[1.0, 0.0]] * 2, goal=[[0.5, 0.5, 5.0]] * 2, cost=0.9, success=False)
+    answer = policy.explain([1.0, 0.0])
+    assert answer.grounds is not None
+    own = answer.grounds
+    assert (own.policy, own.samples, own.tried, own.succeeded) == ("mean", len(ids), 20, 18)
+    chance = policy.predict([1.0, 0.0]).success_probability
+    assert chance is not None
+    assert own.success_probability == pytest.approx(float(chance), abs=1e-9)
+    assert answer.summary.startswith("The goal is the mean of 30 samples, the nearest ")
+    assert (
+        "; 18 of the 20 trials nearest to this state succeeded, and this goal should with probability" in answer.summary
+    )
+    far = policy.explain([50.0, 0.0])  # a state that the task refuses has no goal
+    assert (far.grounds, far.summary, len(far.neighbours)) == (None, "", 10)
+
+
 def test_a_state_too_novel_is_refused_where_the_task_says_so(make_policy: MakePolicy) -> None:
     policy = make_policy(novel="refuse", novelty_limit=0.5)
     policy.report(state=[1.0, 0.0], goal=[0.5, 0.5, 5.0], cost=0.1, success=True)

@@ -61,6 +61,7 @@ AGAIN: dict[str, Callable[[dict[str, Any]], Mapping[str, Any]]] = {
         "next": None,
     },
     "explain.reply": lambda message: Explanation.from_wire(message).to_wire(),
+    "explain.grounds.reply": lambda message: Explanation.from_wire(message).to_wire(),
     "spec.reply": lambda message: {**message, "spec": TaskSpec.from_dict(message["spec"]).to_dict()},
     "tasks.reply": lambda message: {
         **message,

@@ -228,7 +228,7 @@ class Learner:
                 suppressor=None if suppressor is None else self._told.store.ids(np.array([suppressor]))[0],
                 radius=radius,
             )
-        return explain(self.model, state, sample)
+        return explain(self.model, self.history, state, sample)
 
     def apply_trials(self, seqs: Sequence[int], trials: Sequence[Trial]) -> None:
         """Applies trials with their log positions, in one step with one new model.

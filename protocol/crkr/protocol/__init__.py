@@ -48,7 +48,7 @@ from crkr.protocol.keys import (
     task_key,
 )
 from crkr.protocol.messages.amendment import AmendRequest, UndoRequest, trial_ids
-from crkr.protocol.messages.explanation import Explanation, Neighbour, SampleExplanation
+from crkr.protocol.messages.explanation import Explanation, Grounds, Neighbour, SampleExplanation
 from crkr.protocol.messages.predict import Prediction, PredictRequest, check_states
 from crkr.protocol.messages.report import Receipt, ReportRequest, StoredTrial
 from crkr.protocol.messages.report_arguments import TrialFields, make_trials
@@ -85,6 +85,7 @@ __all__ = [
     "Exploration",
     "Geom",
     "GoalDimension",
+    "Grounds",
     "Internal",
     "Invalid",
     "KernelSettings",

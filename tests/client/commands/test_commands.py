@@ -181,8 +181,16 @@ def test_an_explanation_names_the_samples(run: Run, task: str) -> None:
     answer = data(run("explain", task, "--state", "1.5", "--json"))
     [neighbour] = answer["neighbours"]
     assert neighbour["distance"] == 0
+    assert answer["grounds"] == {
+        "policy": "mean",
+        "samples": 1,
+        "success_probability": None,
+        "tried": 0,
+        "succeeded": 0,
+    }
     text = run("explain", task, "--state", "1.5", "--sample", neighbour["id"]).stdout
     assert f"{neighbour['id']} is in the model; no sample near it is better" in text
+    assert text.startswith("The goal is the mean of 1 sample, the nearest 0 length-scales away.")
 
 
 def test_the_status_is_shown_by_verb_and_probed_by_exit_code(run: Run, task: str, free_port: int) -> None:

@@ -118,7 +118,7 @@ def explain(
     zenoh_config: ZenohConfig = None,
     as_json: Json = False,
 ) -> None:
-    """Show the samples that determine an answer, and why a sample is or is not in the model.
+    """Show what an answer rests on and how likely it succeeds, and why a sample is or is not in the model.
 
     Example: crkr explain throw --state "0.3 1.2"
     """
@@ -131,6 +131,8 @@ def explain(
     if as_json:
         print_json(answer)
         return
+    if answer.summary:
+        stdout.print(answer.summary)
     print_table(
         ("sample", "weight", "cost", "distance"),
         [(n.id, f"{n.weight:+.4f}", f"{n.cost:.4f}", f"{n.distance:.3f}") for n in answer.neighbours],

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any, final
 from uuid import UUID
 
-from crkr.protocol.checks import entries, flag, number, required
+from crkr.protocol.checks import entries, flag, integer, number, required, text
 from crkr.protocol.codec import id_from_wire
 
-__all__ = ["Explanation", "Neighbour", "SampleExplanation"]
+__all__ = ["Explanation", "Grounds", "Neighbour", "SampleExplanation"]
 
 
 @final
@@ -53,6 +53,38 @@ class SampleExplanation:
 
 @final
 @dataclass(frozen=True, slots=True)
+class Grounds:
+    """What the goal for a state rests on.
+
+    Attributes:
+        policy: "mean" of the samples, or "corrected" by what earlier trials led to.
+        samples: Active samples behind the mean.
+        success_probability: How likely the goal succeeds; None where nothing is known.
+        tried: Trials looked at that were tried in the states nearest to this one.
+        succeeded: How many of these succeeded.
+    """
+
+    policy: str
+    samples: int
+    success_probability: float | None
+    tried: int
+    succeeded: int
+
+    @classmethod
+    def from_wire(cls, message: Mapping[str, Any]) -> Grounds:
+        """Reads them; raises `Invalid`."""
+        chance = message.get("success_probability")
+        return cls(
+            text(required(message, "policy"), "policy"),
+            integer(required(message, "samples"), "samples"),
+            None if chance is None else number(chance, "success_probability"),
+            integer(required(message, "tried"), "tried"),
+            integer(required(message, "succeeded"), "succeeded"),
+        )
+
+
+@final
+@dataclass(frozen=True, slots=True)
 class Explanation:
     """The answer of `explain`.
 
@@ -60,11 +92,30 @@ class Explanation:
         neighbours: Most influential active samples, largest |weight| first.
         novelty: In [0, 1].
         sample: Where the sample asked about stands, if one was.
+        grounds: What the goal rests on; None from a server of version 0.1, and for a state that the task refuses.
     """
 
     neighbours: tuple[Neighbour, ...]
     novelty: float
     sample: SampleExplanation | None = None
+    grounds: Grounds | None = None
+
+    @property
+    def summary(self) -> str:
+        """What the goal rests on, in one sentence; "" where that is not known."""
+        own = self.grounds
+        if own is None:
+            return ""
+        near = f", the nearest {min(n.distance for n in self.neighbours):.2g} length-scales away" if own.samples else ""
+        basis = f"the mean of {own.samples} {'sample' if own.samples == 1 else 'samples'}{near}"
+        if not own.samples:
+            basis = "the outcomes of earlier trials alone"
+        elif own.policy == "corrected":
+            basis += ", corrected by the outcomes of earlier trials"
+        seen = f"; {own.succeeded} of the {own.tried} trials nearest to this state succeeded" if own.tried else ""
+        chance = own.success_probability
+        hope = "" if chance is None else f", and this goal should with probability {chance:.2f}"
+        return f"The goal is {basis}{seen}{hope}."
 
     def to_wire(self) -> dict[str, Any]:
         """The answer as a message map; the sample's fields stand beside the others."""
@@ -74,6 +125,8 @@ class Explanation:
             ],
             "novelty": self.novelty,
         }
+        if self.grounds is not None:
+            message["grounds"] = asdict(self.grounds)
         if self.sample is not None:
             message |= {
                 "sample_id": self.sample.id,
@@ -106,4 +159,10 @@ class Explanation:
                 None if suppressor is None else id_from_wire(suppressor, "suppressor"),
                 None if radius is None else number(radius, "radius"),
             )
-        return cls(neighbours, number(required(message, "novelty"), "novelty"), sample)
+        grounds = message.get("grounds")
+        return cls(
+            neighbours,
+            number(required(message, "novelty"), "novelty"),
+            sample,
+            None if grounds is None else Grounds.from_wire(grounds),
+        )

@@ -217,7 +217,7 @@ class Reader:
         state = array_from_wire(required(message, "state"), "state")
         sample = message.get("sample_id")
         if sample is None:
-            request.reply(explain(task.model, state, None).to_wire())
+            request.reply(explain(task.model, task.history, state).to_wire())
             return
         sample_id = id_from_wire(sample, "sample_id")
 

@@ -19,6 +19,7 @@ from crkr.learner import Learner, Model
 from crkr.protocol import StorageError, live_server_key, rpc_key, task_key
 from crkr.protocol.keys import admin_key
 from crkr.server.inspection.seal_check import SealCheck
+from crkr.server.learning.acceleration import Acceleration
 from crkr.server.learning.fit import DueFit, Fitting
 from crkr.server.learning.notices import Notices
 from crkr.server.learning.radii_cache import RadiiKeeper
@@ -116,6 +117,7 @@ class Server:
             raise
         self._latencies, self._workers = Latencies(), Workers()
         self._notices, self._radii = Notices(self._session), RadiiKeeper(self._log)
+        self._acceleration = Acceleration()
         self._learning = Learning(self._learned, self._fit_when_due, self._restart_model, self._relearn)
         self._due: dict[str, DueFit] = {}
         self._lanes: list[Lane[Any]] = []
@@ -224,6 +226,7 @@ class Server:
         """Publish and cache a new model. Learning calls this for each."""
         self._notices(task, before, after)
         self._radii.step(task)
+        self._acceleration.step(task)
 
     def _found_damage(self, task: str, damage: str) -> None:
         self.tasks.look(task).damage = damage
@@ -243,6 +246,7 @@ class Server:
         for intake in self._intakes:
             intake.stop()
         self._fitting.stop()
+        self._acceleration.stop()
         self._seals.stop()
         for lane in self._lanes:
             lane.close(max(0.05, deadline - time.monotonic()))

@@ -24,7 +24,10 @@ _loaded: list[type[TreeRadii]] = []  # at most one; a module is loaded once
 
 def accelerable() -> bool:
     """Whether numba is installed."""
-    return find_spec("numba") is not None
+    try:
+        return find_spec("numba") is not None
+    except ModuleNotFoundError:
+        return False
 
 
 def accelerate() -> bool:

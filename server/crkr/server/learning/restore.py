@@ -13,6 +13,7 @@ import numpy as np
 
 from crkr.learner import Learner, TrialColumns
 from crkr.protocol import KINDS, CrkrError, GoalDimension, StateDimension, StorageError, TaskSpec, UnknownTask
+from crkr.server.learning.acceleration import MUCH_TO_SEARCH, accelerate_search
 from crkr.server.learning.radii_cache import load_radii
 from crkr.server.learning.tasks import ServedTask, apply_entries
 from crkr.server.log import DELETED, Event, LoggedTrial, LogReader, Visible
@@ -103,6 +104,8 @@ def restore(log: LogReader, name: str) -> ServedTask:
     else:
         usable = radii is not None and last - FEW <= radii.version <= last and radii.version in visible
         upto = radii.version if radii is not None and usable else last
+        if not usable and last > MUCH_TO_SEARCH and task.spec.selector == "anms":
+            accelerate_search(name)
         with task.learner.bulk(radii if usable else None):
             _replay_blocks(task, log, name, upto, visible)
         _replay(task, log.read(name, upto), visible)

@@ -1,0 +1,88 @@
+"""The compiled selection is loaded once a task is long enough for it; until then passes over all samples do.
+
+Compiling takes some ten seconds, once a machine and version. A process of its own does that, as the compiler holds the
+interpreter's lock; what a thread of the server then loads from the cache takes a second.
+"""
+
+from __future__ import annotations
+
+import logging
+import multiprocessing
+import signal
+import threading
+import time
+from typing import Final, final
+
+from crkr.learner import accelerable, accelerate
+from crkr.server.installed_code import InstalledCode
+from crkr.server.learning.tasks import ServedTask
+
+__all__ = ["LONG", "MUCH_TO_SEARCH", "Acceleration", "accelerate_search"]
+
+logger = logging.getLogger(__name__)
+
+LONG: Final = 10_000  # samples of a task, from which on it pays
+MUCH_TO_SEARCH: Final = 200_000  # entries without kept radii, whose search takes longer than compiling
+
+
+@final
+class Acceleration:
+    """Loads the compiled selection in the background, once."""
+
+    def __init__(self) -> None:
+        self._begun = False
+        self._process: multiprocessing.process.BaseProcess | None = None
+        self._stopped = threading.Event()
+        self._code = InstalledCode()
+
+    def step(self, task: ServedTask) -> None:
+        """Called on a learning thread whenever a task has a new model."""
+        if self._begun or task.eligible < LONG:
+            return
+        self._begun = True
+        if not accelerable():
+            logger.warning(
+                "task %s has %d samples: learning would be quicker with numba, pip install 'crkr[fast]'",
+                task.name,
+                task.eligible,
+            )
+            return
+        threading.Thread(target=self._load, name="acceleration", daemon=True).start()
+
+    def stop(self) -> None:
+        """End the process that compiles, if there is one."""
+        self._stopped.set()
+        if self._process is not None:
+            self._process.terminate()
+
+    def _load(self) -> None:
+        try:
+            started = time.monotonic()
+            context = multiprocessing.get_context("spawn")  # a fork would inherit Zenoh's threads half
+            self._process = context.Process(target=_compile, name="compile", daemon=True)
+            self._process.start()
+            self._process.join()
+            if self._stopped.is_set():
+                return
+            if self._process.exitcode or self._code.is_replaced:
+                logger.warning("the selection was not compiled; learning goes on without, and a restart tries again")
+                return
+            accelerate()
+            logger.info("the compiled selection is loaded after %.1f s", time.monotonic() - started)
+        except Exception:  # learning goes on as before
+            logger.exception("the compiled selection was not loaded")
+
+
+def accelerate_search(task: str) -> None:
+    """Load the compiled selection now, before a long search for radii; without it the search only takes longer."""
+    try:
+        if not accelerate():
+            logger.warning("restoring task %s would be quicker with numba, pip install 'crkr[fast]'", task)
+    except Exception:
+        logger.exception("the compiled selection was not loaded")
+
+
+def _compile() -> None:
+    """The process: fill the cache."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the server, which ends this process
+    accelerate()

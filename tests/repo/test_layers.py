@@ -32,7 +32,7 @@ LAYERS = {
     "server": _layer("protocol learner", "numpy zenoh typer rich prometheus_client"),
     "sim_worker": _layer(
         "protocol client",
-        "numpy scipy mujoco gymnasium gymnasium_robotics pinocchio coal clarabel matplotlib PIL av typer rich",
+        "numpy scipy mujoco gymnasium gymnasium_robotics ray pinocchio coal clarabel matplotlib PIL av typer rich",
     ),
     "dashboard": _layer("protocol client", "numpy rerun typer rich"),
     "experiments": _layer(

@@ -9,12 +9,21 @@ from typing import Final
 
 import numpy as np
 
-__all__ = ["demonstration_rng", "evaluation_rng", "fresh_rng", "training_rng", "unpredictable_seed", "worker_seed"]
+__all__ = [
+    "demonstration_rng",
+    "evaluation_rng",
+    "fresh_rng",
+    "place_seed",
+    "training_rng",
+    "unpredictable_seed",
+    "worker_seed",
+]
 
 _TRAINING: Final = 1
 _DEMONSTRATIONS: Final = 2
 _FRESH: Final = 3
 _WORKERS: Final = 4
+_PLACES: Final = 5
 
 
 def evaluation_rng(seed: int, context: int) -> np.random.Generator:
@@ -35,6 +44,11 @@ def demonstration_rng(seed: int) -> np.random.Generator:
 def worker_seed(seed: int, index: int) -> int:
     """The seed of worker `index` of a supervisor, below 2^31."""
     return int(np.random.SeedSequence([seed, index, _WORKERS]).generate_state(1)[0] >> 1)
+
+
+def place_seed(seed: int, index: int) -> int:
+    """The seed of supervisor `index` of a run on several machines, below 2^31."""
+    return int(np.random.SeedSequence([seed, index, _PLACES]).generate_state(1)[0] >> 1)
 
 
 def training_rng(seed: int, first_seq: int) -> np.random.Generator:

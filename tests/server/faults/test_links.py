@@ -1,7 +1,6 @@
 """A link between client and server that is cut and healed: everything arrives, once."""
 
 import json
-import os
 import socket
 import subprocess
 import sys
@@ -12,6 +11,7 @@ from pathlib import Path
 from typing import Any, final
 
 import pytest
+from network_namespaces import ip, two_machines
 
 OUTAGE_S = 4.0  # longer than a lease, so that the partition is noticed
 
@@ -97,26 +97,6 @@ def test_over_a_link_that_is_silent_for_a_while_everything_arrives_once(server: 
         assert client.wait(timeout=10) == 0
     assert [int(line) for line in lines[:-1]] == list(range(1, count + 1))
     assert json.loads(lines[-1]) == list(range(1, count + 1))
-
-
-def ip(*arguments: str) -> None:
-    subprocess.run(["ip", *arguments], check=True, capture_output=True, text=True)
-
-
-@contextmanager
-def two_machines() -> Iterator[tuple[str, str]]:
-    """Two network namespaces with a cable between them: 10.77.0.1 in the first, 10.77.0.2 in the second."""
-    one, two = f"crkr-{os.getpid()}-a", f"crkr-{os.getpid()}-b"
-    with ExitStack() as stack:
-        for name in (one, two):
-            ip("netns", "add", name)
-            stack.callback(ip, "netns", "del", name)
-        ip("-n", one, "link", "add", "cable", "type", "veth", "peer", "name", "cable", "netns", two)
-        for name, address in ((one, "10.77.0.1/24"), (two, "10.77.0.2/24")):
-            ip("-n", name, "address", "add", address, "dev", "cable")
-            ip("-n", name, "link", "set", "cable", "up")
-            ip("-n", name, "link", "set", "lo", "up")
-        yield one, two
 
 
 @pytest.mark.campaign

@@ -28,6 +28,7 @@ _EXTRAS: Final = {
     "pinocchio": ("sim",),
     "prometheus_client": ("server",),
     "pyarrow": ("export",),
+    "ray": ("ray",),
     "rerun": ("dashboard",),
     "scipy": ("server", "mirror", "sim", "experiments"),
     "sklearn": ("experiments",),

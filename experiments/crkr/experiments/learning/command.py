@@ -33,7 +33,8 @@ def learning(
     preset: Annotated[str | None, typer.Option(help="Which settings, e.g. tuned.")] = None,
     skill: Annotated[str, typer.Option(help="A skill, or package.module:factory.")] = "table-tennis",
     oracle: Annotated[bool, typer.Option(help="Play the same contexts by the skill's planner.")] = True,
-    jobs: Annotated[int, typer.Option(min=1, max=256, help="Processes.")] = 2,
+    jobs: Annotated[int, typer.Option(min=1, max=256, help="Processes of this machine.")] = 2,
+    on: Annotated[str, typer.Option("--on", help="Where runs are made: here or ray, a cluster.")] = "here",
     out: Annotated[Path | None, typer.Option(file_okay=False, help="Save learning.png and learning.json here.")] = None,
     overwrite: Overwrite = False,
     json: Json = False,
@@ -55,7 +56,7 @@ def learning(
             check_output(out / name, overwrite=overwrite)
     options = SkillOptions(environment=environment, launcher=launcher, preset=preset)
     course = Course(trials, balls, judge, demonstrations, MARKS if out is not None else ())
-    runs = learn_many(skill, options, [(course, seed) for seed in range(first_seed, first_seed + seeds)], jobs)
+    runs = learn_many(skill, options, [(course, seed) for seed in range(first_seed, first_seed + seeds)], jobs, on)
     planner = _planner(skill, options, course, jobs) if oracle else {}
     result = _result(skill, options, course, runs, planner)
     if out is not None:

@@ -13,17 +13,23 @@ from crkr.client.cli.console import stderr
 from crkr.client.cli.progress import Progress
 from crkr.experiments.learning.run import Course, LearningRun, learn_once
 from crkr.sim_worker.guarded_skill import GuardedSkill
+from crkr.sim_worker.places.places import load_places
 from crkr.sim_worker.skill import Skill, SkillOptions
-from crkr.sim_worker.supervisor.pool import spread
 
 __all__ = ["Summary", "learn_many", "mean_interval", "summarise"]
 
 
-def learn_many(skill: str, options: SkillOptions, parts: Sequence[tuple[Course, int]], jobs: int) -> list[LearningRun]:
-    """One run for each part, a course and a seed, in order, in `jobs` processes; their number changes no result."""
+def learn_many(
+    skill: str, options: SkillOptions, parts: Sequence[tuple[Course, int]], jobs: int, on: str = "here"
+) -> list[LearningRun]:
+    """One run for each part, a course and a seed, in order, in `jobs` processes; their number changes no result.
+
+    `on` names the places that run them, `here` or `ray`.
+    """
     runs: dict[int, LearningRun] = {}
     with Progress(stderr, "learning", len(parts), "runs") as progress:
-        for place, run in spread(skill, options, _learn, [(place, *part) for place, part in enumerate(parts)], jobs):
+        numbered = [(place, *part) for place, part in enumerate(parts)]
+        for place, run in load_places(on).spread(skill, options, _learn, numbered, jobs):
             runs[place] = run
             rates = ", ".join(f"{name} {rate:.3f}" for name, rate in run.final.tally.rates().items())
             progress.show(len(runs), f"seed {run.seed}: {rates}", now=True)

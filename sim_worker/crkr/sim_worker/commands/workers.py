@@ -16,7 +16,7 @@ __all__ = ["workers"]
 Skill = Annotated[
     str, typer.Argument(help="An installed skill, or your own as package.module:factory or path/to/file.py:factory.")
 ]
-Workers = Annotated[int, typer.Option("-n", "--workers", min=1, max=256, help="Training processes.")]
+Workers = Annotated[int, typer.Option("-n", "--workers", min=1, max=4096, help="Training processes.")]
 TaskName = Annotated[str | None, typer.Option("--task", help="Name of the task; the skill's own unless given.")]
 Trials = Annotated[
     int | None, typer.Option(min=0, help="Training trials in all, after which to stop; no end unless given.")
@@ -43,6 +43,10 @@ Wait = Annotated[
     bool,
     typer.Option("--wait", help="Wait until each trial is learned; one worker then repeats a run of its seed."),
 ]
+On = Annotated[str, typer.Option("--on", help="Where workers run: here, or ray, a cluster's nodes.")]
+PerPlace = Annotated[
+    int, typer.Option("--cpus-per-place", min=1, max=256, help="Workers that one node of a cluster gets at a time.")
+]
 
 
 def workers(
@@ -59,6 +63,8 @@ def workers(
     patience: Patience = 60.0,
     stall: Stall = 300.0,
     wait: Wait = False,
+    on: On = "here",
+    cpus_per_place: PerPlace = 8,
     connect: Connect = None,
     timeout: Timeout = 5.0,
     zenoh_config: ZenohConfig = None,
@@ -76,15 +82,16 @@ def workers(
     """
     from crkr.client import Client
     from crkr.client.cli.progress import Progress
+    from crkr.sim_worker.places.places import load_places
     from crkr.sim_worker.randomness import unpredictable_seed
     from crkr.sim_worker.skill import SkillOptions
     from crkr.sim_worker.supervisor.plan import RunPlan
-    from crkr.sim_worker.supervisor.run import run_workers
 
     configure_logging(log_level)
     for number in (signal.SIGTERM, signal.SIGHUP):  # as process 1 of a container they have no default
         if signal.getsignal(number) is not signal.SIG_IGN:  # by nohup
             signal.signal(number, lambda number, _: sys.exit(128 + number))
+    places = load_places(on)
     options = SkillOptions(environment=environment, launcher=launcher, preset=preset, name=task, seed=seed or 0)
     with Client(connect, zenoh_config=zenoh_config) as client:
         endpoint = client.endpoint
@@ -105,7 +112,7 @@ def workers(
         log_level=log_level,
     )
     with Progress(stderr, "training", trials, "trials") as progress:
-        report = run_workers(plan, progress.say, progress.show)
+        report = places.run(plan, cpus_per_place, progress.say, progress.show)
     stderr.print(report.sentence())
     if json:
         print_json(report.to_dict())

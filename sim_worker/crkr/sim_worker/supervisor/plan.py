@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, final
@@ -80,6 +81,22 @@ class RunReport:
     problem: str | None = None
     stopped_by: signal.Signals | None = None
     seconds: float = 0.0
+
+    @classmethod
+    def merged(cls, task: str, workers: int, reports: Sequence[RunReport]) -> RunReport:
+        """What supervisors of one task did together; `trained` and `seconds` are the largest, `problem` the first."""
+        return cls(
+            task,
+            workers,
+            trials=sum(one.trials for one in reports),
+            successes=sum(one.successes for one in reports),
+            demonstrations=sum(one.demonstrations for one in reports),
+            epochs={epoch: rates for one in reports for epoch, rates in one.epochs.items()},
+            trained=max((one.trained for one in reports), default=0),
+            workers_lost=sum(one.workers_lost for one in reports),
+            problem=next((one.problem for one in reports if one.problem is not None), None),
+            seconds=max((one.seconds for one in reports), default=0.0),
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for JSON."""

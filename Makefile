@@ -1,7 +1,7 @@
 # Needs Python >= 3.11 and a package registry; .venv is made on first use.
 #   PYTHON=python3.12   another interpreter        ARGS="..."   options for crkr demo or pytest
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test lint format lock campaign compose-test clean
+.PHONY: help setup demo test lint format lock docs campaign compose-test clean
 
 BIN := .venv/bin
 ROOTS := protocol learner client server sim_worker dashboard experiments
@@ -32,6 +32,10 @@ format: setup ## fix and format the sources by ruff
 
 lock: setup ## regenerate requirements/*.lock; UPGRADE=1 takes the newest versions
 	@UPGRADE=$(UPGRADE) scripts/lock
+
+docs: setup ## build the documents as a site in build/site; warnings are errors
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
+	@echo "build/site/index.html"
 
 campaign: setup ## run the long tests, before a release
 	@$(BIN)/pytest -m campaign --timeout=3600 $(ARGS)

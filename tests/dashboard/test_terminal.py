@@ -42,7 +42,8 @@ def run(stored: Make) -> list[Update]:
     def ball(seq: int, epoch: int, hit: bool) -> StoredTrial:
         return stored(seq, "evaluation", info={"epoch": epoch, "outcomes": {"hit": hit}})
 
-    lifted = [stored(seq, info={"reason": "lifted", "outcomes": {"hit": True}}) for seq in (3, 4, 5)]
+    known = {"outcomes": {"hit": True}, "predicted": {"success": 0.25}}
+    lifted = [stored(seq, info={"reason": "lifted", **known}) for seq in (3, 4, 5)]
     stuck = [stored(6, info={"reason": "stuck [bold]", "outcomes": {"hit": False}}, success=False)]
     return [
         Update(trials=(ball(1, 0, False), ball(2, 0, True))),
@@ -66,6 +67,8 @@ def test_a_terminal_shows_curve_reasons_workers_and_latency(run: list[Update]) -
         "1.50 ms",
         "17 of 40",
         "advice: no success in 200 trials",
+        "expected success",
+        "25 %",
     ):
         assert expected in text
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final, final
 
 from crkr.client.tally import Tally, stated_epoch, success_by_criterion
+from crkr.dashboard.predictions import PredictionRecord
 from crkr.protocol import StoredTrial
 
 __all__ = ["WINDOW", "EpochResult", "Progress", "Row", "Window"]
@@ -33,12 +34,13 @@ class Row:
         kind: The protocol's kind.
         worker: The worker that reported it, "" if unknown.
         cost: In [0, 1], or None.
-        success: What the skill chose to learn from.
+        success: Whether it did what was wanted.
         reason: How it ended, in the skill's words.
         outcomes: Success by criterion, e.g. {"paper": True, "strict": False}.
         mean_cost: Training trials only: mean cost of the last 50 of them, or None.
         rates: Training trials only: success rate of the last 50 of them by criterion.
         shares: Training trials only: share of the last 50 of them by reason.
+        predictions: Training trials only: what was expected of the last 200 of them, and what came of it.
     """
 
     stored: StoredTrial
@@ -54,6 +56,7 @@ class Row:
     mean_cost: float | None = None
     rates: Mapping[str, float] = field(default_factory=dict)
     shares: Mapping[str, float] = field(default_factory=dict)
+    predictions: Mapping[str, float] = field(default_factory=dict)
 
 
 @final
@@ -139,6 +142,7 @@ class Progress:
         criteria: Names of what counts as success, in order of appearance.
         epochs: Evaluations by epoch; one that states no epoch was made by hand and counts by kind only.
         window: The last 50 training trials.
+        predictions: What was expected of the last 200 training trials, and what came of it.
     """
 
     def __init__(self, *, running: bool = True) -> None:
@@ -152,6 +156,7 @@ class Progress:
         self.criteria: list[str] = []
         self.epochs: dict[int, EpochResult] = {}
         self.window = Window(WINDOW)
+        self.predictions = PredictionRecord()
         self._training = array("q")  # log positions of the training trials: 8 bytes each, also after a million
 
     def add(self, stored: StoredTrial, now: float) -> Row:
@@ -179,13 +184,15 @@ class Progress:
         if trains:
             self.reasons[reason] += 1
             self.window.add(trial.cost, outcomes, reason)
+            self.predictions.add(trial)
         means = self._means() if trains and self._running else ()
         told = (stored.seq, self.trials, epoch, trial.kind, worker, trial.cost, trial.success, reason, outcomes)
         return Row(stored, *told, *means)
 
-    def _means(self) -> tuple[float | None, dict[str, float], dict[str, float]]:
+    def _means(self) -> tuple[float | None, dict[str, float], dict[str, float], dict[str, float]]:
         rates = {name: rate for name in self.criteria if (rate := self.window.rate(name)) is not None}
-        return self.window.mean_cost(), rates, {name: self.window.share(name) for name in self.reasons}
+        shares = {name: self.window.share(name) for name in self.reasons}
+        return self.window.mean_cost(), rates, shares, self.predictions.shares()
 
     def finished_epochs(self, now: float) -> list[EpochResult]:
         """Evaluations that are newly complete: as many balls as the one before, or no new ball for some seconds."""

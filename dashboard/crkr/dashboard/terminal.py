@@ -132,7 +132,13 @@ class TerminalDisplay:
 
     def page(self, progress: Progress, now: float) -> RenderableType:
         """All tables; `now` is monotonic [s]."""
-        tables = [self._success(progress), self._reasons(progress), self._workers(progress, now), self._server()]
+        tables = [
+            self._success(progress),
+            self._predictions(progress),
+            self._reasons(progress),
+            self._workers(progress, now),
+            self._server(),
+        ]
         shown = [table for table in tables if table.row_count]
         head, about = _text(self._line(progress), "bold"), _text(self._description, "dim")
         advice = [_text(f"advice: {line}", "yellow") for line in advice_lines(self._status)]
@@ -168,6 +174,12 @@ class TerminalDisplay:
                 percent(rates[-1]),
                 f"{100 * low:.0f} - {100 * high:.0f} %",
             )
+        return table
+
+    def _predictions(self, progress: Progress) -> Table:
+        table = _table("predictions", "last 200")
+        for name, share in progress.predictions.shares().items():
+            table.add_row(_text(name), percent(share))
         return table
 
     def _reasons(self, progress: Progress) -> Table:

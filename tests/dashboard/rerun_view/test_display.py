@@ -17,7 +17,14 @@ Make = Callable[..., StoredTrial]
 Message = Callable[..., dict[str, Any]]
 Read = Callable[[Path], dict[str, list[Any]]]
 
-STATUS = {"active": 4, "eligible": 6, "seq": 12, "latency_us": {"predict": {"p50": 200.0, "p99": 900.0}}}
+STATUS = {
+    "active": 4,
+    "eligible": 6,
+    "seq": 12,
+    "latency_us": {"predict": {"p50": 200.0, "p99": 900.0}},
+    "drift": {"restarts": 0, "last_seq": None, "score": 1.5},
+    "advice": [{"code": "no_success", "message": "no success in 200 trials"}],
+}
 
 
 def column(batches: list[Any], name: str) -> list[Any]:
@@ -37,7 +44,8 @@ def tables(recording: Recording, file: Path, read: Read, stored: Make, message: 
 
     def trial(seq: int) -> StoredTrial:
         hit = seq % 4 != 0
-        return stored(seq, cost=seq / 100, success=hit, info={"reason": "lifted" if hit else "stuck | odd"})
+        info = {"reason": "lifted" if hit else "stuck | odd", "predicted": {"success": 0.5}}
+        return stored(seq, cost=seq / 100, success=hit, info=info)
 
     feed.update(Update(trials=tuple(ball(seq, 0, seq > 2) for seq in range(1, 5))), 0.0)
     feed.step(0.0)
@@ -78,6 +86,15 @@ def test_running_means_follow_the_trials(tables: dict[str, Any]) -> None:
     assert column(tables["/reasons/lifted"], "Scalars:scalars")[-1] == 0.75
     assert column(tables["/training/success"], "Scalars:scalars")[-1] == 0.75
     assert column(tables["/cost/mean"], "Scalars:scalars")[-1] == pytest.approx(sum(range(5, 13)) / 800)
+
+
+def test_predicted_and_observed_success_follow_the_trials(tables: dict[str, Any]) -> None:
+    assert column(tables["/predictions/expected_success"], "Scalars:scalars") == [0.5] * 8
+    assert column(tables["/predictions/observed_success"], "Scalars:scalars")[-1] == 0.75
+    [*_, status] = column(tables["/status"], "TextDocument:text")
+    assert "expected success **50 %**, observed success **75 %** (last 200)" in status
+    assert "**Advice**: no success" in status
+    assert column(tables["/drift/score"], "Scalars:scalars") == [1.5]
 
 
 def test_widths_novelty_and_durations_come_from_the_publications(tables: dict[str, Any]) -> None:

@@ -56,7 +56,7 @@ def _live() -> rrb.Vertical:
             _scene(),
             rrb.Vertical(
                 _success(),
-                rrb.Tabs(_cost(), _reasons(), _document("guide", "What is this?"), active_tab=0),
+                rrb.Tabs(_cost(), _predictions(), _reasons(), _document("guide", "What is this?"), active_tab=0),
                 row_shares=[1, 1],
             ),
             column_shares=[1.3, 1],
@@ -74,7 +74,7 @@ def _live() -> rrb.Vertical:
 
 def _stored() -> rrb.Vertical:
     return rrb.Vertical(
-        rrb.Horizontal(_success(), _cost()),
+        rrb.Horizontal(_success(), rrb.Tabs(_cost(), _predictions(), active_tab=0)),
         rrb.Horizontal(
             rrb.Tabs(_document("status", "Status"), _log(), _document("guide", "What is this?"), active_tab=0),
             rrb.Tabs(_document("outcomes", "Outcomes"), _reasons(), active_tab=0),
@@ -122,6 +122,10 @@ def _cost() -> rrb.TimeSeriesView:
 
 def _reasons() -> rrb.TimeSeriesView:
     return _series("How trials end", "+ /reasons/**", share=True)
+
+
+def _predictions() -> rrb.TimeSeriesView:
+    return _series("Predicted and observed", "+ /predictions/**", share=True, legend="RightBottom")
 
 
 def _exploration() -> rrb.TimeSeriesView:

@@ -59,6 +59,8 @@ class Curves:
                 self._line(("training", name), row, rate, colour, f"{name}, exploring", 1.0)
             for index, (name, share) in enumerate(row.shares.items()):
                 self._line(("reasons", name), row, share, LINES[index % len(LINES)], name)
+            for index, (name, share) in enumerate(row.predictions.items()):
+                self._line(("predictions", name.replace(" ", "_")), row, share, LINES[index], f"{name}, last 200")
 
     def picture(self, row: Row, telemetry: Telemetry) -> None:
         """Sigma and novelty of the goal that was tried, and the durations of the trial."""

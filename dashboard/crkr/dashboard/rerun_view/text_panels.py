@@ -48,6 +48,8 @@ def status_page(
     if newest is not None:
         rates = ", ".join(f"{_plain(name)} **{percent(rate)}**" for name, rate in newest.tally.rates().items())
         lines += [f"Evaluation {newest.epoch} ({newest.balls} trials): {rates}", ""]
+    if shares := progress.predictions.shares():
+        lines += [", ".join(f"{name} **{percent(share)}**" for name, share in shares.items()) + " (last 200)", ""]
     for advice in advice_lines(status):
         lines += [f"**Advice**: {_plain(advice)}", ""]
     lines += [

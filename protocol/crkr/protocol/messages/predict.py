@@ -179,6 +179,25 @@ class Prediction:
             raise Invalid(f"a batch of {len(self.trial_ids)} has no single trial_id; use trial_ids")
         return self.trial_ids[0]
 
+    def expectation(self, row: int | None = None) -> dict[str, Any]:
+        """What is expected of a goal, as `info` of its trial: {"predicted": ...}; {} where nothing is known.
+
+        Displays compare it with what came of the goal.
+
+        Args:
+            row: Which goal of a batch.
+        """
+        names = {
+            "success": self.success_probability,
+            "outcome": self.predicted_outcome,
+            "sd": self.predicted_outcome_sd,
+        }
+        chosen = {name: value if row is None or value is None else value[row] for name, value in names.items()}
+        known = {
+            name: value.tolist() for name, value in chosen.items() if value is not None and not np.isnan(value).all()
+        }
+        return {"predicted": known} if known else {}
+
     @classmethod
     def joined(cls, parts: Sequence[Prediction]) -> Prediction:
         """One answer for all the states of several batches, in order.

@@ -97,7 +97,13 @@ class EpochEvaluation:
                 outcome=result.outcome,
                 worker=self._worker,
                 model_version=self._answer.model_version,
-                info={**result.info, "epoch": self.epoch, "ball": context, "trained": self._trained},
+                info={
+                    **self._answer.expectation(context),
+                    **result.info,
+                    "epoch": self.epoch,
+                    "ball": context,
+                    "trained": self._trained,
+                },
             )
         )
 

@@ -12,7 +12,8 @@ from uuid import UUID
 import numpy as np
 
 from crkr.client import Task
-from crkr.protocol import Conflict, Internal, Prediction, Receipt, Trial, training_id
+from crkr.protocol import Conflict, Internal, Prediction, Receipt, Trial, pack, training_id
+from crkr.protocol.info import MAX_INFO_BYTES
 from crkr.sim_worker.randomness import training_rng, unpredictable_seed
 from crkr.sim_worker.skill import Floats, Skill, TrialResult
 from crkr.sim_worker.worker.supervisor_link import SupervisorLink
@@ -43,6 +44,9 @@ class Identity:
 
 def tried(task: Task, answer: Prediction, result: TrialResult, worker: str) -> Trial:
     """The training trial of a result; a goal that was not executed gives kind "failed"."""
+    expected = answer.expectation()
+    if len(pack(result.info)) > MAX_INFO_BYTES // 2:  # the skill's own comes first
+        expected = {}
     return Trial.create(
         task.spec,
         id=answer.trial_id,
@@ -54,7 +58,7 @@ def tried(task: Task, answer: Prediction, result: TrialResult, worker: str) -> T
         outcome=result.outcome,
         worker=worker,
         model_version=answer.model_version,
-        info=result.info,
+        info={**expected, **result.info},
         learn=result.learn if result.executed else None,
     )
 

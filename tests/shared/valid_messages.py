@@ -51,7 +51,8 @@ def specification(name: str, *, guided: bool = False) -> dict[str, Any]:
             for name, aim in (("dx", "equal"), ("dy", "at_least"))
         ]
         given = {"trust": 4.0, "temperature": [0.1, 0.5], "neighbours": 20, "iterations": 2, "min_trials": 10}
-        spec["exploration"] = {"type": "outcome", **given, "gate": 2.0, "candidates": 4, "drift": True}
+        spec["exploration"] = {"type": "outcome", **given, "gate": 2.0, "candidates": 4}
+        spec["exploration"]["drift"] = False  # so that all entries of the log come from requests
     return spec
 
 

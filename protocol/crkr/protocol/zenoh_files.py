@@ -1,15 +1,17 @@
-"""Files that a Zenoh configuration file names: certificates, keys and passwords."""
+"""What Zenoh takes from its surroundings: the files that a configuration file names, and a variable."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
 
 from crkr.protocol.errors import Invalid
 
-__all__ = ["FILE_SETTINGS", "named_files"]
+__all__ = ["FILE_SETTINGS", "is_panic", "named_files", "refusing_panics"]
 
 _TLS: Final = "root_ca_certificate listen_certificate listen_private_key connect_certificate connect_private_key"
 FILE_SETTINGS: Final = (
@@ -39,3 +41,25 @@ def named_files(configuration: Path, setting: Callable[[str], str]) -> dict[str,
                 f"{name.rpartition('/')[2]} {str(path)!r}"
             )
     return {name: str(path) for name, path in paths.items()}
+
+
+def is_panic(error: BaseException) -> bool:
+    """Whether a Rust library panicked, which raises what is no `Exception`."""
+    return type(error).__name__ == "PanicException"
+
+
+@contextmanager
+def refusing_panics() -> Iterator[None]:
+    """A block that opens a session. Zenoh panics over a ZENOH_RUNTIME that it cannot read, for one.
+
+    Raises:
+        Invalid: Zenoh panicked.
+    """
+    try:
+        yield
+    except BaseException as error:
+        if not is_panic(error):
+            raise
+        given = os.environ.get("ZENOH_RUNTIME")
+        cause = "" if given is None else f"; look at ZENOH_RUNTIME, which is {given!r:.100}, or unset it"
+        raise Invalid(f"Zenoh did not start{cause}: {error!s:.300}") from error

@@ -10,7 +10,7 @@ from typing import Any, Final
 import zenoh
 
 from crkr.protocol import MAX_MESSAGE_BYTES, CrkrError, Invalid, Unavailable
-from crkr.protocol.zenoh_files import named_files
+from crkr.protocol.zenoh_files import named_files, refusing_panics
 
 __all__ = ["DEFAULT_LISTEN", "endpoints", "open_session"]
 
@@ -58,7 +58,8 @@ def open_session(listen: str | None, config_file: Path | None) -> zenoh.Session:
     """
     config = _config(listen, config_file)
     try:
-        return zenoh.open(config)
+        with refusing_panics():
+            return zenoh.open(config)
     except zenoh.ZError as error:
         where = ", ".join(_endpoints(config))
         reason = _reason(error)

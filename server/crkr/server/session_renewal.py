@@ -22,7 +22,8 @@ from uuid import uuid4
 import zenoh
 
 from crkr.protocol import live_server_key
-from crkr.server.thread_faults import FAULTS, is_panic, keep_running
+from crkr.protocol.zenoh_files import is_panic
+from crkr.server.thread_faults import FAULTS, keep_running
 
 __all__ = ["SessionRenewal", "cut_connections", "is_broken"]
 

@@ -15,7 +15,9 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any, Final, final
 
-__all__ = ["FAULTS", "ThreadFaults", "is_panic", "keep_running", "run_once"]
+from crkr.protocol.zenoh_files import is_panic
+
+__all__ = ["FAULTS", "ThreadFaults", "keep_running", "run_once"]
 
 logger = logging.getLogger(__name__)
 
@@ -95,11 +97,6 @@ class ThreadFaults:
 
 # One for the process, as its threads and `threading.excepthook` are.
 FAULTS: Final = ThreadFaults()
-
-
-def is_panic(error: BaseException) -> bool:
-    """Whether the Rust beneath a binding raised it; its type has no importable name."""
-    return type(error).__name__ == "PanicException"
 
 
 def keep_running(step: Callable[[], bool]) -> None:

@@ -58,3 +58,10 @@ def test_the_rate_is_local_and_falls_back_on_all_trials() -> None:
     assert there < 0.05
     assert far == 0.5
     assert rate.at(np.zeros(2)) == near
+
+
+def test_the_rate_is_a_probability_where_all_succeeded() -> None:
+    rng = np.random.default_rng(1)
+    for count in range(1, 60):
+        rate = SuccessRate(rng.normal(size=(count, 2)), np.ones(count))
+        assert (rate.at(rng.normal(size=(50, 2))) <= 1.0).all()

@@ -42,6 +42,7 @@ def odd(name: str, rng: Rng) -> dict[str, Any]:
     spec = deepcopy(specification(name, guided=bool(rng.random() < 0.5)))
     if rng.random() < 0.5:
         spec |= deepcopy(OTHERS[int(rng.integers(len(OTHERS)))])
+    spec["exploration"]["drift"] = True
     found = list(places(spec))
     for _ in range(1 if rng.random() < 0.6 else 2):
         *within, last = found[int(rng.integers(len(found)))]

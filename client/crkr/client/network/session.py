@@ -15,6 +15,7 @@ from crkr.client.lifetimes import check_not_forked, hold, is_forked, release
 from crkr.client.network.config import Connection, brief
 from crkr.client.network.diagnosis import Obstacle, obstacle
 from crkr.protocol import CrkrError, Unavailable
+from crkr.protocol.zenoh_files import refusing_panics
 
 __all__ = ["CallsInProgress", "Closable", "NotConnected", "Session"]
 
@@ -144,7 +145,8 @@ class Session:
             self._look(0.5 * (deadline - time.monotonic()))
         patience = min(_OPEN_S, max(0.001, deadline - time.monotonic()))
         try:
-            session = zenoh.open(self.connection.zenoh(patience))
+            with refusing_panics():
+                session = zenoh.open(self.connection.zenoh(patience))
         except zenoh.ZError as error:
             self._in_vain = True
             raise NotConnected(f"cannot connect: {brief(error)}") from error

@@ -83,7 +83,8 @@ class SuccessRate:
         away = self.Z - (z if z.ndim == 1 else z[:, None])
         near = np.exp(-0.5 * np.vecdot(away, away))
         hits = near @ self.success + _MORE_TRIALS * self.success.mean()
-        return np.asarray(hits / (near.sum(axis=-1) + _MORE_TRIALS))
+        rate = hits / (near.sum(axis=-1) + _MORE_TRIALS)
+        return np.asarray(np.minimum(rate, 1.0))  # which rounding exceeds by a bit
 
 
 def bounded(features: Array) -> Array:

@@ -343,13 +343,3 @@ def test_help_is_printed_whatever_the_environment_says(environment: dict[str, st
     done = subprocess.run(command, env={**os.environ, **environment}, capture_output=True, check=False)
     assert (done.returncode, done.stderr) == (0, b"")
     assert b"--contexts" in done.stdout
-
-
-@pytest.mark.parametrize("command", [["status"], ["server", "--listen", "tcp/127.0.0.1:0"]], ids=["client", "server"])
-def test_a_variable_that_zenoh_cannot_read_is_named(command: list[str], tmp_path: Path) -> None:
-    words = [sys.executable, "-m", "crkr.client", *command]
-    environment = {**os.environ, "ZENOH_RUNTIME": "garbage"}
-    done = subprocess.run(words, env=environment, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=60)
-    assert done.returncode == 1
-    assert "error: Zenoh did not start; look at ZENOH_RUNTIME, which is 'garbage'" in done.stderr
-    assert "Traceback" not in done.stderr

@@ -1,6 +1,9 @@
 """Where a client connects, and what it forces Zenoh to."""
 
 import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -77,3 +80,13 @@ def test_certificates_are_looked_for_beside_the_file_that_names_them(
     key.touch()
     config = Connection.choose("tls/learner:7447", Path("robot/client.json5")).zenoh(1.0)
     assert json.loads(config.get_json("transport/link/tls/connect_private_key")) == str(key)
+
+
+@pytest.mark.parametrize("command", [["status"], ["server", "--listen", "tcp/127.0.0.1:0"]], ids=["client", "server"])
+def test_a_variable_that_zenoh_cannot_read_is_named(command: list[str], tmp_path: Path) -> None:
+    words = [sys.executable, "-m", "crkr.client", *command]
+    environment = {**os.environ, "ZENOH_RUNTIME": "garbage"}
+    done = subprocess.run(words, env=environment, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=60)
+    assert done.returncode == 1
+    assert "error: Zenoh did not start; look at ZENOH_RUNTIME, which is 'garbage'" in done.stderr
+    assert "Traceback" not in done.stderr

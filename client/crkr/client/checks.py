@@ -11,16 +11,7 @@ from uuid import UUID
 
 import numpy as np
 
-from crkr.protocol import (
-    Array,
-    CrkrError,
-    Internal,
-    Invalid,
-    Prediction,
-    Receipt,
-    TaskSpec,
-    array_from_wire,
-)
+from crkr.protocol import Array, CrkrError, Internal, Invalid, Prediction, Receipt, TaskSpec, array_from_wire
 from crkr.protocol.codec import MAX_DEPTH
 
 __all__ = ["AnswerCheck", "GoalCheck", "answer_to", "check_bounds", "check_receipt", "plain", "positive"]

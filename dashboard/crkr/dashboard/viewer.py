@@ -15,10 +15,10 @@ import time
 import urllib.error
 import urllib.request
 from pathlib import Path
-from types import TracebackType
 from typing import Final, final
 from urllib.parse import quote
 
+from crkr.client.lifetimes import Closing
 from crkr.protocol import Invalid, Unavailable
 
 __all__ = ["Viewer", "choose_port", "page_address", "require_display", "stream_address"]
@@ -87,7 +87,7 @@ def require_display() -> None:
 
 
 @final
-class Viewer:
+class Viewer(Closing):
     """Rerun's viewer as a child process; a context manager that ends it.
 
     Its usage statistics are off; the page that it serves has its own setting, in the browser.
@@ -158,14 +158,6 @@ class Viewer:
                 self._process.kill()
                 self._process.wait(ENDS_S)
         self._home.cleanup()
-
-    def __enter__(self) -> Viewer:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def _wait_for(self, address: str) -> None:
         """Wait until the viewer logs that it serves, and answers: another page may answer on a port that is taken."""

@@ -168,16 +168,7 @@ class Knowledge:
         return len(rows)
 
     def apply_amend(self, seq: int, ids: Sequence[UUID | bytes], values: Sequence[Mapping[str, Any]]) -> int:
-        """Changes what trials are said to be; returns how many there are.
-
-        Args:
-            seq: Log position.
-            ids: The trials.
-            values: For each its `cost`, `success`, `learn`, `kind`, `outcome` and `removed` from now on.
-
-        Raises:
-            Invalid: An unknown or repeated id.
-        """
+        """Changes what trials are said to be; see `Learner.apply_amend`."""
         rows = self._rows_of(ids)
         self._check_seqs([seq], 1)
         indices = np.array(rows, dtype=np.int64)

@@ -9,7 +9,7 @@ import signal
 import socket
 import sys
 import threading
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
@@ -55,8 +55,8 @@ def server(
     threading.Thread(target=_leave_before, args=(told_to_stop, serving, log), name="early end", daemon=True).start()
     with ExitStack() as stack:
         stack.callback(log.flush)
-        endpoint = stack.enter_context(_metrics_endpoint(metrics)) if metrics else None
-        running = stack.enter_context(Server(ServerSettings(data, listen, zenoh_config)))
+        endpoint = stack.enter_context(closing(_metrics_endpoint(metrics))) if metrics else None
+        running = stack.enter_context(closing(Server(ServerSettings(data, listen, zenoh_config))))
         where = ", ".join(endpoints(listen, zenoh_config))
         told = f"listening on {where}, data in {data}, {len(running.tasks.all())} tasks"
         if endpoint is not None:

@@ -9,8 +9,7 @@ import threading
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Final, Self, final
+from typing import Any, Final, final
 from uuid import uuid4
 
 import zenoh
@@ -265,11 +264,3 @@ class Server:
         for intake in self._intakes:
             intake.join(0.5)
         self._workers.join(0.5)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()

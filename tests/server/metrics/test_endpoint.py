@@ -5,7 +5,7 @@ import socket
 import threading
 import urllib.request
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from typing import Any
 
 import pytest
@@ -49,7 +49,7 @@ def test_connections_that_are_held_keep_no_scraper_out_and_are_bounded(
 def test_one_that_says_nothing_is_cut_off(monkeypatch: pytest.MonkeyPatch, processes: Any) -> None:
     monkeypatch.setattr(metrics_endpoint, "_PATIENCE_S", 0.1)
     before = threading.active_count()
-    with MetricsEndpoint("127.0.0.1", 0) as endpoint:
+    with closing(MetricsEndpoint("127.0.0.1", 0)) as endpoint:
         host, _, port = endpoint.address.rpartition(":")
         with socket.create_connection((host, int(port)), timeout=10) as silent:
             assert silent.recv(1) == b""

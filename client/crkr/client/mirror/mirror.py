@@ -51,6 +51,8 @@ class Mirror(Closing):
 
     Attributes:
         name: The task's name.
+        fault: Why the last refresh failed; None: it did not.
+        defects: Refreshes that failed by a defect or for lack of memory, not by an error of the protocol.
     """
 
     def __init__(
@@ -92,8 +94,8 @@ class Mirror(Closing):
         self._closed = threading.Event()
         self._exiting = threading.Event()
         self._inside: dict[int, None] = {}  # threads that are predicting
-        self._fault: CrkrError | None = None
-        self._defects = 0
+        self.fault: CrkrError | None = None
+        self.defects = 0
         self._refreshing = threading.Lock()
         # Before the first copy, or a change between the two would be noticed late.
         self._notices = task.subscribe(("model",), capacity=1, timeout_s=timeout_s)
@@ -121,16 +123,6 @@ class Mirror(Closing):
     def age_s(self) -> float:
         """Time since the server last confirmed that the copy is its model [s]."""
         return time.monotonic() - self._confirmed
-
-    @property
-    def fault(self) -> CrkrError | None:
-        """Why the last refresh failed; None: it did not."""
-        return self._fault
-
-    @property
-    def defects(self) -> int:
-        """Refreshes that failed by a defect or for lack of memory, not by an error of the protocol."""
-        return self._defects
 
     def predict(
         self, states: object, explore: bool = False, *, trial_ids: Sequence[UUID | bytes] | None = None
@@ -183,10 +175,10 @@ class Mirror(Closing):
             before = self._model
             model, confirmed = self._reader.fetch(before, max(deadline - time.monotonic(), 0.001))
             with self._changed:
-                self._model, self._confirmed, self._fault = model, confirmed, None
+                self._model, self._confirmed, self.fault = model, confirmed, None
                 self._changed.notify_all()
         except CrkrError as error:
-            self._fault = error
+            self.fault = error
             raise
         finally:
             self._refreshing.release()
@@ -204,7 +196,7 @@ class Mirror(Closing):
             self._changed.wait_for(lambda: self._model.version >= version or self._closed.is_set(), positive(timeout_s))
         if self._model.version < version:
             self._end_with_interpreter()
-            why = f" ({self._fault.message})" if self._fault is not None else ""
+            why = f" ({self.fault.message})" if self.fault is not None else ""
             raise Unavailable(
                 f"the local copy of task {self.name!r} is at log position {self._model.version}, before {version}{why}",
                 details={"version": self._model.version},
@@ -223,10 +215,10 @@ class Mirror(Closing):
             self._thread.join(_JOIN_S)
 
     def __repr__(self) -> str:
-        fault = self._fault.code if self._fault is not None else None
+        fault = self.fault.code if self.fault is not None else None
         return (
             f"Mirror({self.name!r}, model_version={self.model_version}, active={self._model.active}, "
-            f"age_s={self.age_s:.1f}, fault={fault}{f', defects={self._defects}' if self._defects else ''})"
+            f"age_s={self.age_s:.1f}, fault={fault}{f', defects={self.defects}' if self.defects else ''})"
         )
 
     def _end_with_interpreter(self) -> None:
@@ -244,7 +236,7 @@ class Mirror(Closing):
     def _check(self) -> None:
         self._check_open()
         if self._max_age_s is not None and (age := self.age_s) > self._max_age_s:
-            why = f" ({self._fault.message})" if self._fault is not None else ""
+            why = f" ({self.fault.message})" if self.fault is not None else ""
             raise Unavailable(
                 f"the local copy of task {self.name!r} is {age:.1f} s old, more than {self._max_age_s:g} s{why}",
                 details={"age_s": age, "limit": self._max_age_s},
@@ -274,12 +266,12 @@ class Mirror(Closing):
     def _note(self, error: BaseException) -> None:
         """Records a failed refresh; logs a defect as a warning once, and counts each in `defects`."""
         if isinstance(error, CrkrError):
-            self._fault = error
+            self.fault = error
             _logger.debug("the local copy of task %s was not refreshed: %s", self.name, error)
             return
-        self._defects += 1
-        self._fault = Internal(f"the local copy of task {self.name!r} was not refreshed: {error!r:.500}")
-        level = logging.WARNING if self._defects == 1 else logging.DEBUG
+        self.defects += 1
+        self.fault = Internal(f"the local copy of task {self.name!r} was not refreshed: {error!r:.500}")
+        level = logging.WARNING if self.defects == 1 else logging.DEBUG
         _logger.log(level, "the local copy of task %s was not refreshed: %r", self.name, error)
 
 

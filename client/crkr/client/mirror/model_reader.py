@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from typing import Any, Protocol, Unpack, final
+from typing import Any, Protocol, final
 from uuid import UUID
 
 import numpy as np
@@ -13,7 +13,7 @@ from crkr.client.checks import answer_to
 from crkr.client.network.subscription import TOPICS, Subscription
 from crkr.client.rpc import Rpc
 from crkr.learner import Model
-from crkr.protocol import Array, Conflict, Invalid, Prediction, Receipt, TrialFields
+from crkr.protocol import Array, Conflict, Invalid, Receipt
 
 __all__ = ["ModelReader", "ModelSource"]
 
@@ -26,19 +26,13 @@ class ModelSource(Protocol):
         """The task's name."""
         ...
 
-    def model(self, known_version: int | None = None, *, timeout_s: float | None = None) -> dict[str, Any]:
-        """As `Task.model`."""
+    @property
+    def report(self) -> Callable[..., Receipt]:
+        """`Task.report`."""
         ...
 
-    def report(
-        self,
-        answer: Prediction | None = None,
-        *,
-        wait: bool = False,
-        timeout_s: float | None = None,
-        **trial: Unpack[TrialFields],
-    ) -> Receipt:
-        """As `Task.report`."""
+    def model(self, known_version: int | None = None, *, timeout_s: float | None = None) -> dict[str, Any]:
+        """As `Task.model`."""
         ...
 
     def subscribe(

@@ -49,6 +49,8 @@ class Outbox(Closing):
     Attributes:
         path: The file.
         spec: The task's specification, as it was when the file was made.
+        fault: Why the last message was not delivered; None: it was.
+        defects: Deliveries that failed by a defect or for lack of memory, not by an error of the protocol.
     """
 
     def __init__(
@@ -86,8 +88,8 @@ class Outbox(Closing):
             raise
         self._changed = threading.Condition()
         self._closing = threading.Event()
-        self._fault: CrkrError | None = None
-        self._defects = 0
+        self.fault: CrkrError | None = None
+        self.defects = 0
         self._thread = threading.Thread(target=self._deliver, name=f"crkr-outbox-{task}", daemon=True)
         self._thread.start()
 
@@ -95,16 +97,6 @@ class Outbox(Closing):
     def pending(self) -> int:
         """Number of trials still to be delivered."""
         return self._pending
-
-    @property
-    def fault(self) -> CrkrError | None:
-        """Why the last message was not delivered; None: it was."""
-        return self._fault
-
-    @property
-    def defects(self) -> int:
-        """Deliveries that failed by a defect or for lack of memory, not by an error of the protocol."""
-        return self._defects
 
     def refused(self) -> list[Refused]:
         """Trials that the server refused (`Invalid`, `Conflict`) or that cannot be read; the file keeps them."""
@@ -158,7 +150,7 @@ class Outbox(Closing):
             self._changed.wait_for(lambda: not self._pending or self._closing.is_set(), positive(timeout_s))
             left = self._pending
         if left:
-            why = f": {self._fault.message}" if self._fault is not None else ""
+            why = f": {self.fault.message}" if self.fault is not None else ""
             raise Unavailable(f"{left} trials are still in the outbox {self.path}{why}", details={"pending": left})
 
     def close(self) -> None:
@@ -173,8 +165,8 @@ class Outbox(Closing):
         self._file.close()
 
     def __repr__(self) -> str:
-        fault = self._fault.code if self._fault is not None else None
-        defects = f", defects={self._defects}" if self._defects else ""
+        fault = self.fault.code if self.fault is not None else None
+        defects = f", defects={self.defects}" if self.defects else ""
         return f"Outbox({str(self.path)!r}, task={self._task!r}, pending={self._pending}, fault={fault}{defects})"
 
     def _deliver(self) -> None:
@@ -202,11 +194,11 @@ class Outbox(Closing):
         if isinstance(error, CrkrError):
             known = error
         else:
-            self._defects += 1
+            self.defects += 1
             known = Internal(f"the outbox {self.path} failed: {error!r:.500}")
-        if self._fault is None:
+        if self.fault is None:
             _logger.info("%d trials wait in %s: %s", self._pending, self.path, known.message)
-        self._fault, self._server = known, None
+        self.fault, self._server = known, None
 
     def _send_next(self) -> None:
         self._check_task()
@@ -227,7 +219,7 @@ class Outbox(Closing):
             with self._changed:
                 self._pending = self._file.pending()
         with self._changed:
-            self._fault = None
+            self.fault = None
             self._changed.notify_all()
 
     def _send(self, rows: list[tuple[int, dict[str, Any]]]) -> None:

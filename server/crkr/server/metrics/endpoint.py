@@ -9,8 +9,7 @@ import socketserver
 import sys
 import threading
 from contextlib import suppress
-from types import TracebackType
-from typing import Any, Final, Self, final
+from typing import Any, Final, final
 
 from prometheus_client import CollectorRegistry, MetricsHandler, ProcessCollector
 
@@ -70,14 +69,6 @@ class MetricsEndpoint:
         self._http.shutdown()
         self._http.server_close()
         self._thread.join(_PATIENCE_S)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
 
 class _Http(socketserver.ThreadingTCPServer):

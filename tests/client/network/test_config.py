@@ -54,6 +54,14 @@ def test_a_silent_partition_is_noticed_in_two_seconds_unless_the_file_knows_bett
     assert leases == [2000, 700]
 
 
+def test_several_endpoints_are_each_checked_and_given_to_zenoh(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CRKR_CONNECT", "tcp/a:7447, tcp/b:7447")
+    connection = Connection.choose(None, None)
+    assert json.loads(connection.zenoh(1.0).get_json("connect/endpoints")) == ["tcp/a:7447", "tcp/b:7447"]
+    with pytest.raises(Invalid, match="'b:7447': it is not of the form"):
+        Connection.choose("tcp/a:7447,b:7447", None)
+
+
 @pytest.mark.parametrize("endpoint", ["127.0.0.1:7447", "localhost", "tcp/", "tcp/a b"])
 def test_what_is_no_endpoint_is_refused_with_an_example(endpoint: str) -> None:
     with pytest.raises(Invalid, match="tcp/127"):

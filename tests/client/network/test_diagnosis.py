@@ -35,7 +35,6 @@ PATIENCE_S = 20.0
         ("tcp/localhost:0", "1 to 65535"),
         ("tcp/localhost:65536", "1 to 65535"),
         ("tls/:7447", "host is missing"),
-        ("tcp/a:7447,tcp/b:7447", "several"),
     ],
 )
 def test_the_part_of_an_endpoint_that_is_wrong_is_named(

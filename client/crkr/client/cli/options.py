@@ -30,7 +30,7 @@ Connect = Annotated[
         "--connect",
         envvar="CRKR_CONNECT",
         metavar="ENDPOINT",
-        help="The server, as a Zenoh endpoint; tcp/127.0.0.1:7447 unless given.",
+        help="The server, as a Zenoh endpoint; tcp/127.0.0.1:7447 unless given. Several, by commas, where one stands by.",
         rich_help_panel="Connection",
     ),
 ]

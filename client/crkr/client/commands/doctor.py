@@ -120,7 +120,7 @@ def _trouble(error: CrkrError, connection: Connection) -> str:
 
 
 def _certificate(connection: Connection) -> list[_Check]:
-    end = certificate_end(connection.endpoint, connection.zenoh(_HANDSHAKE_S), _HANDSHAKE_S)
+    end = certificate_end(connection.endpoints[0], connection.zenoh(_HANDSHAKE_S), _HANDSHAKE_S)
     if end is None:
         return []
     left = (end - datetime.now(UTC)).days

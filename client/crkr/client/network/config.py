@@ -33,10 +33,11 @@ _FIXED: Final[dict[str, Any]] = {
 @final
 @dataclass(frozen=True, slots=True)
 class Connection:
-    """How to reach one server.
+    """How to reach a server.
 
     Attributes:
-        endpoint: Zenoh endpoint, e.g. "tcp/127.0.0.1:7447" or "tls/learner:7447".
+        endpoint: Zenoh endpoint, e.g. "tcp/127.0.0.1:7447" or "tls/learner:7447"; several, with commas between them,
+            where another server takes over when one dies. Zenoh tries them in turn, at first and after a loss.
         zenoh_config: Zenoh configuration (JSON5) with certificates or passwords; the settings above override it.
     """
 
@@ -45,23 +46,29 @@ class Connection:
 
     @classmethod
     def choose(cls, endpoint: str | None, zenoh_config: Path | None) -> Connection:
-        """The endpoint given, else $CRKR_CONNECT, else the file's first, else the default.
+        """The endpoints given, else $CRKR_CONNECT, else the file's, else the default.
 
         Raises:
-            Invalid: The endpoint is not of the form protocol/host:port, or the file cannot be read.
+            Invalid: An endpoint is not of the form protocol/host:port, or the file cannot be read.
         """
         variable = os.environ.get(_VARIABLE) or None
         chosen, named = endpoint or variable, "the endpoint"
         if chosen == variable:  # also where a command read the variable
             named = f"the endpoint in {_VARIABLE}"
         if chosen is None and zenoh_config is not None:
-            chosen, named = _first_endpoint(_load(zenoh_config)), f"the endpoint in {zenoh_config}"
+            chosen, named = _listed_endpoints(_load(zenoh_config)), f"the endpoint in {zenoh_config}"
         chosen = chosen or DEFAULT_ENDPOINT
-        if fault := fault_in(chosen):
-            raise Invalid(f"{named} is {chosen!r:.200}: {fault}; one looks like {DEFAULT_ENDPOINT!r}")
         connection = cls(chosen, zenoh_config)
+        for one in connection.endpoints:
+            if fault := fault_in(one):
+                raise Invalid(f"{named} is {one!r:.200}: {fault}; one looks like {DEFAULT_ENDPOINT!r}")
         connection.zenoh(1.0)
         return connection
+
+    @property
+    def endpoints(self) -> list[str]:
+        """Each endpoint."""
+        return [one.strip() for one in self.endpoint.split(",")]
 
     def zenoh(self, patience_s: float) -> zenoh.Config:
         """Zenoh's configuration for one attempt to connect that takes at most `patience_s`.
@@ -73,7 +80,7 @@ class Connection:
         patience_ms = max(1, int(1000 * patience_s))
         settings = {
             **_FIXED,
-            "connect/endpoints": [self.endpoint],
+            "connect/endpoints": self.endpoints,
             "connect/timeout_ms": patience_ms,
             "connect/retry": {"period_init_ms": 50, "period_max_ms": 500, "period_increase_factor": 2},
             "transport/unicast/open_timeout": patience_ms,
@@ -100,12 +107,11 @@ def _load(path: Path | None) -> zenoh.Config:
         raise Invalid(f"Zenoh configuration {path} cannot be read: {brief(error)}") from error
 
 
-def _first_endpoint(config: zenoh.Config) -> str | None:
+def _listed_endpoints(config: zenoh.Config) -> str | None:
     endpoints = json.loads(config.get_json("connect/endpoints"))
     if isinstance(endpoints, dict):  # one list for each mode
         endpoints = endpoints.get("client", [])
-    first = endpoints[0] if endpoints else None
-    return first if isinstance(first, str) else None
+    return ",".join(one for one in endpoints if isinstance(one, str)) or None
 
 
 def brief(error: Exception) -> str:

@@ -78,8 +78,6 @@ def fault_in(endpoint: str) -> str | None:
     if protocol in _OTHERS:
         return None
     host, colon, port = re.split(r"[?#]", address, maxsplit=1)[0].rpartition(":")
-    if "," in address:
-        return "it names several; name one"
     if not colon or (host.startswith("[") and not host.endswith("]")):
         return f"the port is missing: {protocol}/{address.rstrip(':')}:7447"
     if not host:
@@ -95,10 +93,21 @@ def obstacle(endpoint: str, config: zenoh.Config, patience_s: float) -> Obstacle
     """Finds what keeps a client from connecting, or None.
 
     Args:
-        endpoint: An endpoint without a `fault_in` it.
+        endpoint: An endpoint without a `fault_in` it, or several with commas between them, where one has to be free.
         config: Zenoh's, with the certificates.
         patience_s: Longest time for this [s].
     """
+    found = []
+    several = endpoint.split(",")
+    for one in several:
+        if (way := _obstacle(one.strip(), config, patience_s / len(several))) is None:
+            return None
+        found.append(way)
+    what = "; ".join(one.what for one in found)
+    return Obstacle(what, all(one.final for one in found), all(one.absent for one in found))
+
+
+def _obstacle(endpoint: str, config: zenoh.Config, patience_s: float) -> Obstacle | None:
     deadline = time.monotonic() + patience_s
     protocol, address = endpoint.split("/", 1)
     if protocol not in _WITH_PORT:

@@ -161,7 +161,7 @@ class Session:
         now = time.monotonic()
         if patience_s <= 0.0 or now < self._look_again:
             return
-        if not self.connection.endpoint.startswith("tls/"):  # only TLS errors are final
+        if not self.connection.endpoints[0].startswith("tls/"):  # only TLS errors are final
             self._look_again = now + _LOOK_AGAIN_S
         connection = self.connection
         self.obstacle = obstacle(connection.endpoint, connection.zenoh(1.0), min(_LOOK_S, patience_s))

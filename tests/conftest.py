@@ -12,10 +12,12 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from uuid import uuid4
 
 import pytest
 import zenoh
 from hypothesis import HealthCheck, settings
+from postgres import Postgres, running_postgres
 
 # Property tests are about values, not about time: a busy machine is no failure.
 settings.register_profile("values", deadline=None, max_examples=60, suppress_health_check=[HealthCheck.too_slow])
@@ -38,7 +40,7 @@ class RunningServer:
 
     endpoint: str
     port: int
-    data: Path
+    data: Path | str
     log: Path
     process: subprocess.Popen[bytes]
 
@@ -84,7 +86,7 @@ def wait_until_ready(server: RunningServer) -> None:
 
 
 @contextmanager
-def running_server(data: Path, log: Path, port: int, *options: str) -> Iterator[RunningServer]:
+def running_server(data: Path | str, log: Path, port: int, *options: str) -> Iterator[RunningServer]:
     endpoint = f"tcp/127.0.0.1:{port}"
     command = [sys.executable, "-m", "crkr.client", "server", "--listen", endpoint, "--data", str(data), *options]
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
@@ -172,15 +174,45 @@ def start_server(tmp_path: Path) -> Iterator[Callable[..., RunningServer]]:
     """Starts servers: `start_server(*options, data=DIR, port=PORT)`; all of them are stopped at the end of the test."""
     with ExitStack() as stack:
 
-        def start(*options: str, data: Path | None = None, port: int | None = None) -> RunningServer:
+        def start(
+            *options: str, data: Path | str | None = None, port: int | None = None, log: str = "server.log"
+        ) -> RunningServer:
             return stack.enter_context(
-                running_server(data or tmp_path / "data", tmp_path / "server.log", port or unused_port(), *options)
+                running_server(data or tmp_path / "data", tmp_path / log, port or unused_port(), *options)
             )
 
         yield start
+
+
+@pytest.fixture(scope="session")
+def postgres() -> Iterator[Postgres]:
+    """A PostgreSQL for all tests that leave it running; each makes a database of its own."""
+    with running_postgres() as cluster:
+        yield cluster
+
+
+@pytest.fixture
+def make_database(postgres: Postgres) -> Callable[[], str]:
+    """Makes empty databases; gives their URLs."""
+    return lambda: postgres.create(f"test-{uuid4()}")
+
+
+@pytest.fixture(params=["sqlite", "postgres"])
+def place(request: pytest.FixtureRequest, tmp_path: Path) -> Path | str:
+    """Where a server of the test keeps its log: a data directory, then a database."""
+    if request.param == "sqlite":
+        return tmp_path / "data"
+    make: Callable[[], str] = request.getfixturevalue("make_database")
+    return make()
 
 
 @pytest.fixture
 def server(start_server: Callable[..., RunningServer]) -> RunningServer:
     """A server with an empty data directory, ready to be asked."""
     return start_server()
+
+
+@pytest.fixture
+def unused_ports() -> list[int]:
+    """Two loopback ports that nothing listens on."""
+    return [unused_port(), unused_port()]

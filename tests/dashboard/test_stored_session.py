@@ -110,7 +110,7 @@ def test_a_replay_stops_between_pages(stored: Make, spec: Any) -> None:
 def test_without_the_server_the_error_names_the_extra(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(stored_session, "entry_points", lambda **_: EntryPoints())
     with pytest.raises(Unsupported, match=r"crkr\[server\]"):
-        open_run(tmp_path, "crane")
+        open_run(str(tmp_path), "crane")
 
 
 def fill(task: Task) -> None:

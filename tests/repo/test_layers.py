@@ -29,7 +29,7 @@ LAYERS = {
     "protocol": _layer("", "numpy msgpack"),
     "learner": _layer("protocol", "numpy scipy numba"),
     "client": _layer("protocol", "numpy zenoh typer rich pyarrow"),
-    "server": _layer("protocol learner", "numpy zenoh typer rich prometheus_client"),
+    "server": _layer("protocol learner", "numpy zenoh typer rich prometheus_client psycopg"),
     "sim_worker": _layer(
         "protocol client",
         "numpy scipy mujoco gymnasium gymnasium_robotics ray pinocchio coal clarabel matplotlib PIL av typer rich",

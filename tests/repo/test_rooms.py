@@ -24,6 +24,7 @@ SHORT_FOR_A_REASON = {
     "learner/crkr/learner/cost.py": "one equation of the paper, used by three parts of the learner",
     "learner/crkr/learner/selection/acceleration.py": "loads compiled code, which nothing else may do on its way",
     "protocol/crkr/protocol/ids.py": "one value, used by every message",
+    "server/crkr/server/log/postgres/url.py": "what a URL says, for commands without the extra postgres",
     "sim_worker/crkr/sim_worker/commands/oracle.py": "a command, found by its entry point, imports nothing heavy",
     "sim_worker/crkr/sim_worker/commands/plot_policy.py": "a command, found by its entry point, imports nothing heavy",
     "sim_worker/crkr/sim_worker/simulation/scene_file.py": "MuJoCo and Pinocchio read a scene through it alone",

@@ -11,7 +11,7 @@ GONE_WITHIN_S = 60.0
 
 
 @contextmanager
-def shared_server(data: Path) -> Iterator[str]:
+def shared_server(data: Path | str) -> Iterator[str]:
     """The endpoint of a server that may still be starting; clients wait for it."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))

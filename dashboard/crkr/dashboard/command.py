@@ -43,8 +43,8 @@ def watch(
     native: Annotated[bool, typer.Option("--native", help="Open Rerun's viewer in a window.")] = False,
     terminal: Annotated[bool, typer.Option("--terminal", help="Show tables in this terminal; needs no Rerun.")] = False,
     replay: Annotated[
-        Path | None,
-        typer.Option(metavar="DATA-DIR", help="Show a run from a server's data directory; no server is needed."),
+        str | None,
+        typer.Option(metavar="DIR|URL", help="Show a run from a server's data directory or database; it may be off."),
     ] = None,
     save: Annotated[Path | None, typer.Option(metavar="RUN.rrd", help="Also write the recording to this file.")] = None,
     overwrite: Overwrite = False,

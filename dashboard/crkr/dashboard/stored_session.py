@@ -10,7 +10,6 @@ import math
 import time
 from collections.abc import Callable, Iterator, Mapping
 from importlib.metadata import entry_points
-from pathlib import Path
 from typing import Any, Final, Protocol, final
 
 from crkr.client.cli.console import stderr
@@ -23,7 +22,7 @@ from crkr.protocol import StoredTrial, TaskSpec, Unsupported
 __all__ = ["StoredRun", "StoredSession", "open_run", "replay"]
 
 GROUP: Final = "crkr.data_directories"
-"""Group of entry points; `stored-run` is called with a data directory and a task's name."""
+"""Group of entry points; `stored-run` is called with a data directory, or a database's URL, and a task's name."""
 
 SMALLEST_PAGE: Final = 25
 LOOK_S: Final = 0.1  # between two looks at whether a shown run was stopped
@@ -52,8 +51,8 @@ class StoredRun(Protocol):
         ...
 
 
-def open_run(directory: Path, task: str) -> StoredRun:
-    """Open a data directory for reading.
+def open_run(data: str, task: str) -> StoredRun:
+    """Open a data directory, or a database by its URL, for reading.
 
     Raises:
         Unsupported: No installed package reads data directories.
@@ -63,7 +62,7 @@ def open_run(directory: Path, task: str) -> StoredRun:
     found = list(entry_points(group=GROUP, name="stored-run"))
     if not found:
         raise Unsupported("nothing that is installed reads data directories: pip install 'crkr[server]'")
-    run: StoredRun = found[0].load()(directory, task)
+    run: StoredRun = found[0].load()(data, task)
     return run
 
 
@@ -108,7 +107,7 @@ class StoredSession:
     """A task in a data directory, which is opened at once: an error comes before anything is shown.
 
     Args:
-        directory: The data directory.
+        data: The data directory, or a database by its URL.
         task: The task's name.
         stop: When to end.
 
@@ -118,11 +117,11 @@ class StoredSession:
 
     replayed: Final = True
 
-    def __init__(self, directory: Path, task: str, stop: StopRequest) -> None:
+    def __init__(self, data: str, task: str, stop: StopRequest) -> None:
         self.task: Final = task
         self.stop: Final = stop
         self.begun = False
-        self._run = open_run(directory, task)
+        self._run = open_run(data, task)
 
     def show(self, view: View, tick_s: float, goes_on: Callable[[], bool] = lambda: True) -> Progress:
         """Show every trial on the view, with a progress bar."""

@@ -5,10 +5,12 @@ from __future__ import annotations
 import gc
 import logging
 import os
+import select
 import signal
 import socket
 import sys
 import threading
+from collections.abc import Callable
 from contextlib import ExitStack, closing
 from importlib.metadata import version
 from pathlib import Path
@@ -17,6 +19,8 @@ from typing import TYPE_CHECKING, Annotated, Final
 import typer
 
 if TYPE_CHECKING:
+    from crkr.server.learning.tasks import ServedTask
+    from crkr.server.log import TaskLog
     from crkr.server.metrics.endpoint import MetricsEndpoint
     from crkr.server.stderr_log import StderrLog
 
@@ -34,7 +38,9 @@ def server(
     listen: Annotated[
         str | None, typer.Option(help="Zenoh endpoint, tcp/127.0.0.1:7447 unless a configuration file says otherwise.")
     ] = None,
-    data: Annotated[Path, typer.Option(help="Data directory, made where there is none.")] = Path("crkr-data"),
+    data: Annotated[
+        str, typer.Option(metavar="DIR|URL", help="Data directory, made where there is none, or postgresql://...")
+    ] = "crkr-data",
     zenoh_config: Annotated[Path | None, typer.Option(help="Zenoh configuration file (JSON5).")] = None,
     metrics: Annotated[
         str | None,
@@ -44,6 +50,7 @@ def server(
 ) -> None:
     """Run the policy service: `crkr server --listen tcp/127.0.0.1:7447 --data crkr-data --metrics 9464`."""
     from crkr.protocol import printable
+    from crkr.server.log.postgres.url import printable_location
     from crkr.server.server import Server, ServerSettings
     from crkr.server.session import endpoints
     from crkr.server.thread_faults import FAULTS
@@ -56,20 +63,52 @@ def server(
     with ExitStack() as stack:
         stack.callback(log.flush)
         endpoint = stack.enter_context(closing(_metrics_endpoint(metrics))) if metrics else None
-        running = stack.enter_context(closing(Server(ServerSettings(data, listen, zenoh_config))))
+        settings = ServerSettings(data, listen, zenoh_config)
         where = ", ".join(endpoints(listen, zenoh_config))
-        told = f"listening on {where}, data in {data}, {len(running.tasks.all())} tasks"
-        if endpoint is not None:
-            endpoint.show(running.sources)
-            told += f", metrics at http://{endpoint.address}/metrics"
-        log.add(printable(f"crkr server {version('crkr')} {told}"))
-        serving.set()
-        told_to_stop.recv(1)
-        watchdog = threading.Timer(_EXIT_PATIENCE_S, os._exit, (0,))
-        watchdog.daemon = True
-        watchdog.start()
+        about = f"crkr server {version('crkr')}"
+
+        def say(what: str) -> None:
+            log.add(printable(f"{about} {what}"))
+
+        while True:
+            replaced, lost = socket.socketpair()
+            opened, tasks = _open(data, where, say, lost)
+            with closing(Server(settings, opened, tasks)) as running:
+                told = f"listening on {where}, data in {printable_location(data)}, {len(running.tasks.all())} tasks"
+                if endpoint is not None:
+                    endpoint.show(running.sources)
+                    told += f", metrics at http://{endpoint.address}/metrics"
+                say(told)
+                serving.set()
+                ready, _, _ = select.select([told_to_stop, replaced], [], [])
+                if told_to_stop in ready:
+                    watchdog = threading.Timer(_EXIT_PATIENCE_S, os._exit, (0,))
+                    watchdog.daemon = True
+                    watchdog.start()
+                    break
+                serving.clear()
     # All is closed. The interpreter's own exit is skipped: it aborts if a thread is just returning from Zenoh.
     os._exit(0)
+
+
+def _open(data: str, listen: str, say: Callable[[str], None], lost: socket.socket) -> tuple[TaskLog, list[ServedTask]]:
+    """The log and its tasks; one that servers share is waited for, and `lost` is told once another server takes it."""
+    from crkr.server.log.postgres.url import is_url
+
+    if not is_url(data):
+        from crkr.server.learning.restore import open_directory
+
+        return open_directory(Path(data))
+    from crkr.server.follower import Follower
+
+    opened, tasks = Follower(data, listen, say).take()
+
+    def tell(why: str) -> None:
+        logger.warning("this server leaves the log: %s", why)
+        lost.send(b"\0")
+
+    opened.keep(tell)
+    return opened, tasks
 
 
 def _metrics_endpoint(given: str) -> MetricsEndpoint:

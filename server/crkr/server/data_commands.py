@@ -1,51 +1,42 @@
-"""`crkr replay`, `crkr backup` and `crkr purge`: look at a data directory, copy it, rid it of deleted tasks."""
+"""`crkr replay`, `backup`, `copy` and `purge`: look at logs, copy them, rid them of deleted tasks."""
 
 from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-__all__ = ["backup", "purge", "replay"]
+if TYPE_CHECKING:
+    from crkr.server.inspection.verification import Verdict
+    from crkr.server.log import LogReader
 
-DataDirectory = Annotated[Path, typer.Argument(help="Data directory of a server.", show_default=False)]
+__all__ = ["backup", "copy", "purge", "replay"]
+
+DIR_OR_URL = "DIR|URL"
+Data = Annotated[
+    str, typer.Argument(metavar=DIR_OR_URL, help="Data directory or database of a server.", show_default=False)
+]
 
 
 def replay(
-    data: DataDirectory,
+    data: Data,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON value for programs.")] = False,
 ) -> None:
-    """Check that a data directory's log is whole and that log and model agree: `crkr replay crkr-data`."""
-    from rich.console import Console
-
+    """Check that a log is whole and that log and model agree: `crkr replay crkr-data`."""
     from crkr.protocol import StorageError, printable
-    from crkr.server.inspection.verification import verify
-    from crkr.server.log import SqliteReader
-    from crkr.server.log.acknowledged_count import lost_end, read_tally
-    from crkr.server.log.schema import FILE_NAME
+    from crkr.server.log import read_log
+    from crkr.server.log.postgres.url import printable_location
 
-    watched = sys.stderr.isatty()
-    errors = Console(stderr=True, soft_wrap=True, markup=False, highlight=False, emoji=False, quiet=not watched)
-    acknowledged = read_tally(data)  # before the log, which a server may add to meanwhile
-    reader = SqliteReader(data / FILE_NAME)
+    reader = read_log(data)
     try:
-        with reader.snapshot(), errors.status("checking the database") as status:
-            damage, held = reader.integrity(), sum(reader.positions().values())
-            if held < acknowledged:
-                damage.append(lost_end(reader.path, held, acknowledged))
-            verdicts = []
-            for name in reader.tasks():
-                last = reader.last(name)
-                verdicts.append(
-                    verify(reader, name, lambda at, n=name, of=last: status.update(f"{printable(n)}: {at} of {of}"))  # type: ignore[misc]  # the defaults bind the loop's values
-                )
+        verdicts, problems = _check(reader)
     finally:
         reader.close()
-    problems = [*damage, *(f"{verdict.task}: {problem}" for verdict in verdicts for problem in verdict.problems)]
     if as_json:
         found = {"agree": not problems, "problems": problems, "tasks": [asdict(verdict) for verdict in verdicts]}
         typer.echo(json.dumps(found).replace("\x7f", "\\u007f"))
@@ -56,13 +47,13 @@ def replay(
                 f"{verdict.active} active, predictions agree to {verdict.largest_difference:.1e}"
             )
     if problems:
-        raise StorageError(f"{data} does not agree with itself: {'; '.join(problems)}")
+        raise StorageError(f"{printable_location(data)} does not agree with itself: {'; '.join(problems)}")
     if not as_json:
-        typer.echo(f"{printable(str(data))}: log and model agree, {len(verdicts)} tasks")
+        typer.echo(f"{printable(printable_location(data))}: log and model agree, {len(verdicts)} tasks")
 
 
 def purge(
-    data: DataDirectory,
+    data: Data,
     yes: Annotated[bool, typer.Option("--yes", help="Remove them; without it they are only listed.")] = False,
     restore: Annotated[
         str | None, typer.Option(metavar="NAME", help="Bring this deleted task back, under the name it had.")
@@ -73,9 +64,11 @@ def purge(
     Stop the server first. Backups that were made before keep the tasks.
     """
     from crkr.protocol import Invalid, printable
-    from crkr.server.log import DELETED, SqliteLog
+    from crkr.server.log import DELETED
+    from crkr.server.log.access import open_unserved
+    from crkr.server.log.postgres.url import printable_location
 
-    log = SqliteLog(data)
+    log = open_unserved(data)
     try:
         gone = [name for name in log.reads.tasks() if name.startswith(DELETED)]
         if restore is not None:
@@ -90,26 +83,92 @@ def purge(
         for name in log.purge() if yes else gone:
             typer.echo(f"{printable(name)}{' is removed' if yes else ''}")
         if not gone:
-            typer.echo(f"{printable(str(data))}: no deleted tasks")
+            typer.echo(f"{printable(printable_location(data))}: no deleted tasks")
     finally:
         log.close()
 
 
 def backup(
-    data: DataDirectory,
+    data: Data,
     target: Annotated[Path, typer.Argument(help="New file to write.", show_default=False)],
 ) -> None:
-    """Copy a data directory's log into one file, also while a server uses it: `crkr backup crkr-data monday.sqlite3`.
+    """Copy a log into one file, also while a server uses it: `crkr backup crkr-data monday.sqlite3`.
 
-    To restore, put the file into an empty directory under the name crkr.sqlite3.
+    To restore, put the file into an empty directory under the name crkr.sqlite3. To restore to PostgreSQL,
+    `crkr copy` that directory.
     """
     from crkr.protocol import printable
-    from crkr.server.log import SqliteReader
-    from crkr.server.log.schema import FILE_NAME
+    from crkr.server.log.access import database_file
+    from crkr.server.log.postgres.url import is_url
+    from crkr.server.log.sqlite_database import SqliteDatabase
 
-    reader = SqliteReader(data / FILE_NAME)
+    if is_url(data):
+        from crkr.server.log import read_log
+        from crkr.server.log.access import copy_to_file
+
+        reader = read_log(data)
+        try:
+            copy_to_file(reader, target)
+        finally:
+            reader.close()
+    else:
+        database = SqliteDatabase(database_file(data))
+        try:
+            database.backup(target)
+        finally:
+            database.close()
+    typer.echo(f"{printable(str(target))}: {target.stat().st_size} bytes")
+
+
+def copy(
+    source: Annotated[
+        str, typer.Argument(metavar=DIR_OR_URL, help="Log to copy from; a server may use it.", show_default=False)
+    ],
+    target: Annotated[
+        str, typer.Argument(metavar=DIR_OR_URL, help="Log to copy into; no server may use it.", show_default=False)
+    ],
+    task: Annotated[list[str] | None, typer.Option("--task", help="Only this task; may be given again.")] = None,
+) -> None:
+    """Copy tasks between data directories and databases, and check them: `crkr copy crkr-data postgresql://host/crkr`.
+
+    What the server of the source stores meanwhile is not copied: stop it first, or let it archive the task.
+    """
+    from crkr.protocol import StorageError, printable
+    from crkr.server.log import read_log
+    from crkr.server.log.access import copy_tasks, open_unserved
+    from crkr.server.log.postgres.url import printable_location
+
+    reader = read_log(source)
     try:
-        reader.backup(target)
+        log = open_unserved(target)
+        try:
+            names = copy_tasks(reader, log, task or (), lambda name, n: typer.echo(f"{printable(name)}: {n} entries"))
+            _, problems = _check(log.reads, names)
+        finally:
+            log.close()
     finally:
         reader.close()
-    typer.echo(f"{printable(str(target))}: {target.stat().st_size} bytes")
+    shown = printable_location(target)
+    if problems:
+        raise StorageError(f"the copy in {shown} does not agree with itself: {'; '.join(problems)}")
+    typer.echo(f"{printable(shown)}: log and model agree, {len(names)} tasks copied")
+
+
+def _check(reader: LogReader, names: Sequence[str] = ()) -> tuple[list[Verdict], list[str]]:
+    """What verification finds of these tasks, or all of them, and everything that does not agree."""
+    from rich.console import Console
+
+    from crkr.protocol import printable
+    from crkr.server.inspection.verification import verify
+
+    watched = sys.stderr.isatty()
+    errors = Console(stderr=True, soft_wrap=True, markup=False, highlight=False, emoji=False, quiet=not watched)
+    with reader.snapshot(), errors.status("checking the database") as status:
+        damage = [*reader.integrity(), *filter(None, [reader.lost_end()])]
+        verdicts = []
+        for name in names or reader.tasks():
+            last = reader.last(name)
+            verdicts.append(
+                verify(reader, name, lambda at, n=name, of=last: status.update(f"{printable(n)}: {at} of {of}"))  # type: ignore[misc]  # the defaults bind the loop's values
+            )
+    return verdicts, [*damage, *(f"{verdict.task}: {problem}" for verdict in verdicts for problem in verdict.problems)]

@@ -7,6 +7,7 @@ import math
 import os
 import threading
 import time
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, final
@@ -22,10 +23,10 @@ from crkr.server.learning.acceleration import Acceleration
 from crkr.server.learning.fit import DueFit, Fitting
 from crkr.server.learning.notices import Notices
 from crkr.server.learning.radii_cache import RadiiKeeper
-from crkr.server.learning.restore import FEW, relearned, restore_all
+from crkr.server.learning.restore import FEW, relearned
 from crkr.server.learning.tasks import ServedTask, Tasks
 from crkr.server.learning.thread import Learning
-from crkr.server.log import Event, SqliteLog
+from crkr.server.log import Event, TaskLog
 from crkr.server.metrics.durations import Durations, Latencies
 from crkr.server.metrics.sources import MetricSources
 from crkr.server.queries.intake import Intake
@@ -79,12 +80,12 @@ class ServerSettings:
     """How a server runs.
 
     Attributes:
-        data: Data directory, created if missing.
+        data: Data directory, created if missing, or a database's URL.
         listen: Zenoh endpoint; None: the configuration file's, or tcp/127.0.0.1:7447.
         zenoh_config: Zenoh configuration file (JSON5).
     """
 
-    data: Path
+    data: str
     listen: str | None = None
     zenoh_config: Path | None = None
 
@@ -93,23 +94,27 @@ class ServerSettings:
 class Server:
     """A running service; a context manager.
 
+    Args:
+        settings: How it runs.
+        log: Its log, which it closes.
+        tasks: The log's tasks, restored.
+
     Attributes:
         tasks: The tasks in service.
         sources: Where its metrics are read from.
 
     Raises:
-        StorageError: The data directory cannot be used.
         Unavailable: The endpoint cannot be listened on.
         Invalid: The endpoint or the Zenoh configuration is not understood.
     """
 
-    def __init__(self, settings: ServerSettings) -> None:
+    def __init__(self, settings: ServerSettings, log: TaskLog, tasks: Iterable[ServedTask]) -> None:
         self.tasks = Tasks()
         self._settings = settings
-        self._log = SqliteLog(settings.data)
+        self._log = log
+        for task in tasks:
+            self.tasks.add(task)
         try:
-            for task in restore_all(self._log.reads, self._log.path):
-                self.tasks.add(task)
             self._session = open_session(settings.listen, settings.zenoh_config)
         except BaseException:
             self._log.close()
@@ -124,16 +129,16 @@ class Server:
         self._intakes: list[Intake] = []
         commits = self._wire()
         self.sources = MetricSources(
-            settings.data, self.tasks, self._latencies, self._workers, self._learning, commits, self._queues
+            log.sizes, self.tasks, self._latencies, self._workers, self._learning, commits, self._queues
         )
         long = {task.name: task.seq for task in self.tasks.all() if task.seq > FEW}  # others were read row by row
         self._renewal = SessionRenewal(self._renew_session, lambda: is_broken(self._session), _give_up)
-        self._seals = SealCheck(self._log.path, long, self._found_damage)
+        self._seals = SealCheck(log.where, long, self._found_damage)
         self._start()
 
     def _wire(self) -> Durations:
         """Connect keys, lanes and work; returns the times of the commits."""
-        server_id = uuid4()
+        server_id = self._log.log_id or uuid4()
         predictor = Predictor(self.tasks, self._workers)
         reader = Reader(
             server_id, self.tasks, self._log.reads, self._learning, self._workers, self._latencies, self._queues
@@ -254,6 +259,9 @@ class Server:
         try:
             for task in self.tasks.all() if learned else ():  # no thread uses the learners now
                 self._radii.finish(task)
+        except StorageError as error:
+            logger.warning("radii were not kept: %s", error.message)
+        try:
             self._log.close()
         except StorageError as error:  # acknowledged entries are safe in the write-ahead log
             logger.warning("the task log was not closed cleanly: %s", error.message)

@@ -58,6 +58,7 @@ def test_several_endpoints_are_each_checked_and_given_to_zenoh(monkeypatch: pyte
     monkeypatch.setenv("CRKR_CONNECT", "tcp/a:7447, tcp/b:7447")
     connection = Connection.choose(None, None)
     assert json.loads(connection.zenoh(1.0).get_json("connect/endpoints")) == ["tcp/a:7447", "tcp/b:7447"]
+    assert json.loads(connection.zenoh(1.0, 1).get_json("connect/endpoints")) == ["tcp/b:7447", "tcp/a:7447"]
     with pytest.raises(Invalid, match="'b:7447': it is not of the form"):
         Connection.choose("tcp/a:7447,b:7447", None)
 

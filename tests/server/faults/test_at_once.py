@@ -99,9 +99,15 @@ def crkr(*words: str) -> str:
     "rounds", [1, pytest.param(8, marks=[pytest.mark.campaign, pytest.mark.timeout(300)])], ids=["short", "long"]
 )
 def test_whatever_happens_at_once_log_model_and_copies_agree(
-    rounds: int, start_server: Start, free_port: int, reach: dict[str, Any], processes: Any, tmp_path: Path
+    rounds: int,
+    place: Path | str,
+    start_server: Start,
+    free_port: int,
+    reach: dict[str, Any],
+    processes: Any,
+    tmp_path: Path,
 ) -> None:
-    server = start_server(port=free_port)
+    server = start_server(data=place, port=free_port)
     with ExitStack() as stack, Client(server.endpoint, timeout_s=20) as client:
         task, crowd = client.create_task(reach), Crowd(server.endpoint)
         stack.callback(crowd.stop)
@@ -119,7 +125,7 @@ def test_whatever_happens_at_once_log_model_and_copies_agree(
             copy.mkdir()
             crkr("backup", str(server.data), str(copy / "crkr.sqlite3"))  # beside a server that dies or starts
             server.process.wait(timeout=60)
-            server = start_server(port=free_port)
+            server = start_server(data=place, port=free_port)
             assert "agree" in crkr("replay", str(copy))
         processes.wait_until(lambda: crowd.failed or len(crowd.acknowledged) >= goals[0] + 30)
         assert crowd.failed == []

@@ -60,7 +60,7 @@ def content(data: Path, trials: list[dict[str, Any]]) -> dict[str, Any]:
     """All that a server makes of its files: models, samples as it hands them out, and what it calls a duplicate."""
     log, found = SqliteLog(data), dict[str, Any]()
     try:
-        for task in restore_all(log.reads, log.path):
+        for task in restore_all(log.reads):
             samples, after = log.reads.page(task.name, 0, 10**6, 2**40)
             events = [(entry.seq, entry.time) for entry in log.reads.read(task.name)]
             found[task.name] = (after, task.learner.active_ids, task.spec.to_dict(), samples, events)
@@ -232,5 +232,5 @@ def test_what_is_left_of_a_log_may_be_used_where_its_owner_says_so(left: Callabl
     (data / TALLY).unlink()
     log = SqliteLog(data)
     assert 0 < sum(log.reads.positions().values()) < 404
-    restore_all(log.reads, log.path)
+    restore_all(log.reads)
     log.close()

@@ -55,13 +55,14 @@ def reported(session: zenoh.Session, trial: dict[str, Any]) -> bool | None:
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGTERM])
 def test_what_was_acknowledged_is_there_once_after_the_server_was_stopped_under_load(
     how: signal.Signals,
+    place: Path | str,
     start_server: Start,
     connect: Callable[[str], Ask],
     plain: Callable[[str], zenoh.Session],
     make_trial: MakeTrial,
     reach: dict[str, Any],
 ) -> None:
-    server = start_server()
+    server = start_server(data=place)
     connect(server.endpoint)("rpc/create_task", reach)
     acknowledged: list[list[bytes]] = [[], [], []]
     unknown: list[bytes] = []
@@ -88,7 +89,7 @@ def test_what_was_acknowledged_is_there_once_after_the_server_was_stopped_under_
     for thread in threads:
         thread.join(timeout=60)
 
-    ask = connect(start_server().endpoint)
+    ask = connect(start_server(data=place).endpoint)
     stored = samples(ask)
     ids = [sample["id"] for sample in stored]
     promised = {one for part in acknowledged for one in part}
@@ -102,9 +103,14 @@ def test_what_was_acknowledged_is_there_once_after_the_server_was_stopped_under_
 
 
 def test_a_restarted_server_answers_as_before(
-    start_server: Start, connect: Callable[[str], Ask], make_trial: MakeTrial, reach: dict[str, Any], numbers: Numbers
+    place: Path | str,
+    start_server: Start,
+    connect: Callable[[str], Ask],
+    make_trial: MakeTrial,
+    reach: dict[str, Any],
+    numbers: Numbers,
 ) -> None:
-    server = start_server()
+    server = start_server(data=place)
     ask = connect(server.endpoint)
     ask("rpc/create_task", reach)
     kinds = ["demonstration", "trial", "trial", "evaluation", "trial"]
@@ -130,7 +136,7 @@ def test_a_restarted_server_answers_as_before(
     before = answers(ask)
     server.process.kill()
     server.process.wait(timeout=60)
-    after = answers(connect(start_server().endpoint))
+    after = answers(connect(start_server(data=place).endpoint))
     np.testing.assert_allclose(after[0], before[0], rtol=0, atol=1e-9)
     assert after[1:] == before[1:]
 

@@ -123,7 +123,7 @@ def test_a_replay_names_the_task_that_cannot_be_restored_and_looks_at_the_others
 def test_a_faulty_task_keeps_its_log_position(laid_out: Callable[[str], Path]) -> None:
     log = SqliteLog(laid_out("numbers"))
     try:
-        tasks = {task.name: task for task in restore_all(log.reads, log.path)}
+        tasks = {task.name: task for task in restore_all(log.reads)}
     finally:
         log.close()
     assert [name for name, task in tasks.items() if task.fault] == [FAULTY]
@@ -151,7 +151,7 @@ def test_an_event_that_no_version_knew_makes_its_own_task_faulty_only(laid_out: 
     try:
         log.create(TaskSpec.from_dict({"name": "other", "state": AXIS, "goal": AXIS}))
         log.append_event("fine", "dream", {"of": "sheep"})
-        faults = {task.name: task.fault for task in restore_all(log.reads, log.path)}
+        faults = {task.name: task.fault for task in restore_all(log.reads)}
     finally:
         log.close()
     assert "'dream'" in faults["fine"]
@@ -164,7 +164,7 @@ def test_a_specification_that_cannot_be_read_makes_its_own_task_faulty_only(laid
         spec = TaskSpec.from_dict({"name": "other", "state": AXIS, "goal": AXIS})
         object.__setattr__(spec, "selector", "of a later version")
         log.create(spec)
-        tasks = {task.name: task for task in restore_all(log.reads, log.path)}
+        tasks = {task.name: task for task in restore_all(log.reads)}
     finally:
         log.close()
     assert "selector" in tasks["other"].fault
@@ -176,7 +176,7 @@ def test_damage_to_a_stored_task_is_still_everyones(laid_out: Callable[[str], Pa
     try:
         log._writer.execute("UPDATE event SET body = x'80' WHERE kind = 'fit'")
         with pytest.raises(StorageError, match="does not match its digest"):
-            restore_all(log.reads, log.path)
+            restore_all(log.reads)
     finally:
         log.close()
 

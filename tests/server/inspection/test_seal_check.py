@@ -16,7 +16,7 @@ import pytest
 from crkr.protocol import StorageError, TaskSpec
 from crkr.server.inspection.seal_check import SealCheck
 from crkr.server.inspection.synthetic_log import fill
-from crkr.server.log import SqliteReader
+from crkr.server.log import read_log
 
 Ask = Callable[..., dict[str, Any]]
 COUNT = 5200  # the rows of shorter logs are read whole as the server starts
@@ -52,7 +52,7 @@ def checking(pid: int) -> list[int]:
 
 
 def test_every_column_of_every_row_is_looked_at(long_log: Path) -> None:
-    reader = SqliteReader(long_log / "crkr.sqlite3")
+    reader = read_log(long_log / "crkr.sqlite3")
     reader.check("reach", COUNT + 1)
     for place, change in enumerate(DAMAGES):
         where = COUNT + 1 - 1000 * place
@@ -106,7 +106,7 @@ def test_files_in_the_working_directory_are_not_taken_for_modules(
     (tmp_path / "sqlite3.py").write_text("raise SystemExit(3)\n")
     monkeypatch.chdir(tmp_path)
     told: queue.Queue[tuple[str, str]] = queue.Queue()
-    check = SealCheck(long_log / "crkr.sqlite3", {"reach": COUNT + 1}, lambda *damage: told.put(damage))
+    check = SealCheck(str(long_log), {"reach": COUNT + 1}, lambda *damage: told.put(damage))
     check.start()
     try:
         task, what = told.get(timeout=60)

@@ -15,7 +15,8 @@ import pytest
 
 from crkr.protocol import StorageError, TaskSpec, Trial
 from crkr.server.inspection.stored_run import StoredRun
-from crkr.server.log import PendingReport, SqliteLog, SqliteReader
+from crkr.server.log import PendingReport, SqliteLog, read_log
+from crkr.server.log.sqlite_database import SqliteDatabase
 
 AXIS = {"name": "x", "unit": "m", "low": -1.0, "high": 1.0}
 SPEC = TaskSpec.from_dict({"name": "reach", "state": [AXIS], "goal": [AXIS]})
@@ -133,7 +134,7 @@ def test_nothing_is_stored_in_a_file_that_was_removed_or_replaced(directory: Pat
     copy = directory.with_name("copy")
     copy.mkdir()
     shutil.copy(directory / "crkr.sqlite3", copy)
-    assert SqliteReader(copy / "crkr.sqlite3").last("reach") == 5
+    assert read_log(copy / "crkr.sqlite3").last("reach") == 5
     log.close()
 
 
@@ -205,7 +206,7 @@ def test_a_backup_follows_no_link(directory: Path, tmp_path: Path) -> None:
     precious = tmp_path / "precious"
     precious.write_text("precious")
     (tmp_path / f"copy.sqlite3.{os.getpid()}.partial").symlink_to(precious)
-    reader = SqliteReader(directory / "crkr.sqlite3")
+    reader = SqliteDatabase(directory / "crkr.sqlite3")
     with pytest.raises(OSError, match="File exists"):
         reader.backup(tmp_path / "copy.sqlite3")
     reader.close()
@@ -231,7 +232,7 @@ CHANGES = {
 
 
 @pytest.mark.parametrize("says", CHANGES)
-@pytest.mark.parametrize("opened", [SqliteLog, lambda data: SqliteReader(data / "crkr.sqlite3")], ids=["log", "reader"])
+@pytest.mark.parametrize("opened", [SqliteLog, lambda data: read_log(data / "crkr.sqlite3")], ids=["log", "reader"])
 def test_other_tables_than_ours_are_refused_before_they_are_read(
     directory: Path, says: str, opened: Callable[[Path], object]
 ) -> None:
@@ -249,7 +250,7 @@ def test_a_write_ahead_log_of_another_database_is_refused(directory: Path, tmp_p
         other.append_reports(pending(number))
     shutil.copy(tmp_path / "other" / "crkr.sqlite3-wal", directory / "crkr.sqlite3-wal")
     other.close()
-    for opened in (SqliteLog, lambda data: SqliteReader(data / "crkr.sqlite3")):
+    for opened in (SqliteLog, lambda data: read_log(data / "crkr.sqlite3")):
         with pytest.raises(StorageError, match="belongs to another database"):
             opened(directory)
     (directory / "crkr.sqlite3-wal").unlink()
@@ -285,7 +286,7 @@ def test_a_rollback_journal_of_another_database_is_refused(directory: Path, tmp_
 
 
 def test_a_restored_backup_goes_on_after_a_kill_while_it_was_prepared(directory: Path, tmp_path: Path) -> None:
-    reader = SqliteReader(directory / "crkr.sqlite3")
+    reader = SqliteDatabase(directory / "crkr.sqlite3")
     (tmp_path / "restored").mkdir()
     restored = tmp_path / "restored" / "crkr.sqlite3"
     reader.backup(restored)

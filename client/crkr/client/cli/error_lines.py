@@ -26,6 +26,7 @@ _EXTRAS: Final = {
     "matplotlib": ("sim",),
     "mujoco": ("sim", "gymnasium"),
     "pinocchio": ("sim",),
+    "psycopg": ("postgres",),
     "prometheus_client": ("server",),
     "pyarrow": ("export",),
     "ray": ("ray",),

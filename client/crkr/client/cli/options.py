@@ -30,7 +30,7 @@ Connect = Annotated[
         "--connect",
         envvar="CRKR_CONNECT",
         metavar="ENDPOINT",
-        help="The server, as a Zenoh endpoint; tcp/127.0.0.1:7447 unless given. Several, by commas, where one stands by.",
+        help="The server, as a Zenoh endpoint; tcp/127.0.0.1:7447 unless given. Several, by commas, if one stands by.",
         rich_help_panel="Connection",
     ),
 ]

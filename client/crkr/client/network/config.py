@@ -37,7 +37,7 @@ class Connection:
 
     Attributes:
         endpoint: Zenoh endpoint, e.g. "tcp/127.0.0.1:7447" or "tls/learner:7447"; several, with commas between them,
-            where another server takes over when one dies. Zenoh tries them in turn, at first and after a loss.
+            where another server takes over when one dies.
         zenoh_config: Zenoh configuration (JSON5) with certificates or passwords; the settings above override it.
     """
 
@@ -70,8 +70,13 @@ class Connection:
         """Each endpoint."""
         return [one.strip() for one in self.endpoint.split(",")]
 
-    def zenoh(self, patience_s: float) -> zenoh.Config:
-        """Zenoh's configuration for one attempt to connect that takes at most `patience_s`.
+    def zenoh(self, patience_s: float, turn: int = 0) -> zenoh.Config:
+        """Zenoh's configuration for one attempt to connect.
+
+        Args:
+            patience_s: How long it takes at most [s].
+            turn: Which of several endpoints comes first: Zenoh opens a session at the first only, and tries all in
+                turn once a connection was lost.
 
         Raises:
             Invalid: Zenoh refuses a setting.
@@ -80,7 +85,7 @@ class Connection:
         patience_ms = max(1, int(1000 * patience_s))
         settings = {
             **_FIXED,
-            "connect/endpoints": self.endpoints,
+            "connect/endpoints": self.endpoints[turn:] + self.endpoints[:turn],
             "connect/timeout_ms": patience_ms,
             "connect/retry": {"period_init_ms": 50, "period_max_ms": 500, "period_increase_factor": 2},
             "transport/unicast/open_timeout": patience_ms,

@@ -89,6 +89,7 @@ class Session:
         self._closed = threading.Event()
         self._closed_before: WeakSet[Closable] = WeakSet()
         self._in_vain = False
+        self._turn = 0  # the endpoint to try first
         self.obstacle: Obstacle | None = None
         self._look_again = 0.0  # [s, monotonic]
 
@@ -146,9 +147,10 @@ class Session:
         patience = min(_OPEN_S, max(0.001, deadline - time.monotonic()))
         try:
             with refusing_panics():
-                session = zenoh.open(self.connection.zenoh(patience))
+                session = zenoh.open(self.connection.zenoh(patience, self._turn))
         except zenoh.ZError as error:
             self._in_vain = True
+            self._turn = (self._turn + 1) % len(self.connection.endpoints)
             raise NotConnected(f"cannot connect: {brief(error)}") from error
         self.obstacle = None
         self._finalizer = weakref.finalize(self, _close, session, self._closed_before, self.calls)

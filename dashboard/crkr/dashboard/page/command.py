@@ -28,8 +28,8 @@ def page(
         typer.Option(help="Play trials by this skill, and show the best and the worst; your own as file.py:factory."),
     ] = None,
     replay: Annotated[
-        Path | None,
-        typer.Option(metavar="DATA-DIR", help="Read a server's data directory; no server is needed."),
+        str | None,
+        typer.Option(metavar="DIR|URL", help="Read a server's data directory or database; it may be off."),
     ] = None,
     connect: Connect = None,
     timeout: Timeout = 5.0,

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
-from pathlib import Path
 from typing import Final
 
 from crkr.client import Task
@@ -52,13 +51,13 @@ def read_task(task: Task) -> PageView:
     return view
 
 
-def read_stored(directory: Path, task: str) -> PageView:
-    """Read a task from a data directory.
+def read_stored(data: str, task: str) -> PageView:
+    """Read a task from a data directory, or from a database by its URL.
 
     Raises:
         CrkrError: As `open_run`.
     """
-    with closing(open_run(directory, task)) as run:
+    with closing(open_run(data, task)) as run:
         progress = Progress(running=False)
         view = PageView(run.spec, progress)
         with ProgressBar(stderr, f"reading {task}", run.last, "log entries") as bar:

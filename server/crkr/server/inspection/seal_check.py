@@ -2,7 +2,7 @@
 
 A trial's seal covers who reported it, when, and what it said besides. To check a million of them takes as long as the
 whole restart, so it is done afterwards, by a process of its own at the lowest priority:
-`python -m crkr.server.inspection.seal_check DATABASE '{"TASK": POSITION}'`.
+`python -m crkr.server.inspection.seal_check`, which reads `["LOG", {"TASK": POSITION}]` from standard input.
 """
 
 from __future__ import annotations
@@ -15,12 +15,11 @@ import sys
 import threading
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from pathlib import Path
 from typing import IO, Final, final
 
 from crkr.protocol import StorageError
 from crkr.server.installed_code import InstalledCode
-from crkr.server.log import SqliteReader
+from crkr.server.log import read_log
 from crkr.server.thread_faults import run_once
 
 __all__ = ["SealCheck"]
@@ -36,13 +35,13 @@ class SealCheck:
     """Checks the rows present at the start, once.
 
     Args:
-        path: The log's database.
+        where: The log, as `read_log` takes it.
         tasks: Name -> log position up to which it is looked over.
         damaged: Told of a task and what is wrong with its first damaged row.
     """
 
-    def __init__(self, path: Path, tasks: Mapping[str, int], damaged: Callable[[str, str], None]) -> None:
-        self._path, self._tasks, self._damaged = path, dict(tasks), damaged
+    def __init__(self, where: str, tasks: Mapping[str, int], damaged: Callable[[str, str], None]) -> None:
+        self._where, self._tasks, self._damaged = where, dict(tasks), damaged
         self._stopped, self._starting = threading.Event(), threading.Lock()
         self._process: subprocess.Popen[str] | None = None
         self._code = InstalledCode()
@@ -69,14 +68,7 @@ class SealCheck:
             logger.warning("the rows of the task log are not looked over: crkr was upgraded or removed; restart it")
             return
         # -P: a file in the working directory that is called as a module of Python's is not one.
-        command = [
-            sys.executable,
-            "-P",
-            "-m",
-            "crkr.server.inspection.seal_check",
-            str(self._path),
-            json.dumps(self._tasks),
-        ]
+        command = [sys.executable, "-P", "-m", "crkr.server.inspection.seal_check"]
         try:
             with self._starting:
                 if self._stopped.is_set():
@@ -84,7 +76,7 @@ class SealCheck:
                 # In a group of its own: Ctrl-C is for the server, which ends this process.
                 self._process = subprocess.Popen(
                     command,
-                    stdin=subprocess.DEVNULL,
+                    stdin=subprocess.PIPE,  # a command line, with a password in it, is everyone's to read
                     stdout=subprocess.PIPE,
                     text=True,
                     process_group=0,
@@ -95,6 +87,9 @@ class SealCheck:
             logger.warning("the rows of the task log are not looked over: %s", error.strerror)
             return
         with self._process as process:
+            if process.stdin is not None:
+                with suppress(BrokenPipeError), process.stdin as asked:
+                    asked.write(json.dumps([self._where, self._tasks]))
             if process.stdout is not None:
                 self._listen(process.stdout)
         if process.returncode and not self._stopped.is_set():
@@ -110,17 +105,17 @@ class SealCheck:
                 logger.info("task %s: every row is as it was stored", task)
 
 
-def main(path: Path, tasks: Mapping[str, int]) -> None:
+def main(where: str, tasks: Mapping[str, int]) -> None:
     """The process: reports the damage of each task, "" if there is none."""
     with suppress(BrokenPipeError):  # the server is gone
         for task, upto in tasks.items():
-            sys.stdout.write(json.dumps([task, _damage(path, task, upto)]) + "\n")
+            sys.stdout.write(json.dumps([task, _damage(where, task, upto)]) + "\n")
             sys.stdout.flush()
 
 
-def _damage(path: Path, task: str, upto: int) -> str:
+def _damage(where: str, task: str, upto: int) -> str:
     try:
-        reader = SqliteReader(path)
+        reader = read_log(where)
         reader.check(task, upto)
     except StorageError as error:
         return error.message
@@ -129,4 +124,4 @@ def _damage(path: Path, task: str, upto: int) -> str:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), json.loads(sys.argv[2]))
+    main(*json.load(sys.stdin))

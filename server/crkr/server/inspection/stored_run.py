@@ -10,9 +10,8 @@ from pathlib import Path
 from typing import Any, Final, final
 
 from crkr.protocol import CrkrError, StorageError, StoredTrial, TaskSpec, UnknownTask
-from crkr.server.log import Corrections, Event, SqliteReader
-from crkr.server.log.acknowledged_count import lost_end, read_tally
-from crkr.server.log.schema import FILE_NAME
+from crkr.server.log import Corrections, Event, read_log
+from crkr.server.log.postgres.url import is_url, printable_location
 
 __all__ = ["StoredRun"]
 
@@ -21,10 +20,10 @@ _MOST_BYTES: Final = 2**24
 
 @final
 class StoredRun:
-    """One task of a data directory, as its log is at this moment; to be used from one thread.
+    """One task of a log as it is at this moment; to be used from one thread.
 
     Args:
-        directory: Data directory of a server.
+        data: Data directory or database of a server.
         task: The task's name.
 
     Attributes:
@@ -36,20 +35,19 @@ class StoredRun:
         UnknownTask: No such task; the message names those that there are.
     """
 
-    def __init__(self, directory: Path, task: str) -> None:
-        if not directory.is_dir():
-            raise StorageError(f"there is no data directory {directory}")
-        acknowledged = read_tally(directory)  # before the log, which a server may add to meanwhile
-        self._reader = SqliteReader(directory / FILE_NAME)
+    def __init__(self, data: str | Path, task: str) -> None:
+        if not is_url(data) and not Path(data).is_dir():
+            raise StorageError(f"there is no data directory {data}")
+        self._reader = read_log(data)
         self._task = task
         self._corrections = Corrections()
         try:
             positions = self._reader.positions()
-            if (held := sum(positions.values())) < acknowledged:
-                raise StorageError(f"{lost_end(self._reader.path, held, acknowledged)}; restore a backup")
+            if lost := self._reader.lost_end():
+                raise StorageError(f"{lost}; restore a backup")
             if task not in positions:
                 there = f"it has {', '.join(positions)}" if positions else "it has none yet"
-                raise UnknownTask(f"{directory} holds no task {task!r}; {there}", details={"task": task})
+                raise UnknownTask(f"{printable_location(data)} holds no task {task!r}; {there}", details={"task": task})
             self.last: Final = positions[task]
             self.spec: Final = self._in_force()
         except BaseException:

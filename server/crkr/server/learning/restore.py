@@ -16,9 +16,9 @@ from crkr.protocol import KINDS, CrkrError, GoalDimension, StateDimension, Stora
 from crkr.server.learning.acceleration import MUCH_TO_SEARCH, accelerate_search
 from crkr.server.learning.radii_cache import load_radii
 from crkr.server.learning.tasks import ServedTask, apply_entries
-from crkr.server.log import DELETED, Event, LoggedTrial, LogReader, Visible
+from crkr.server.log import DELETED, Event, LoggedTrial, LogReader, SqliteLog, Visible
 
-__all__ = ["FEW", "batches", "relearned", "restore", "restore_all"]
+__all__ = ["FEW", "batches", "begun", "catch_up", "open_directory", "relearned", "restore", "restore_all"]
 
 logger = logging.getLogger(__name__)
 
@@ -27,13 +27,27 @@ _LONGEST: Final = 1000  # characters of what is wrong with a task
 FEW: Final = 5000  # entries read as whole rows, each checked; longer logs are read by columns
 
 
-def restore_all(log: LogReader, path: Path) -> list[ServedTask]:
-    """Replay every task while SQLite checks the database on another thread.
+def open_directory(directory: Path) -> tuple[SqliteLog, list[ServedTask]]:
+    """Open the log in a data directory, which is made where there is none, and restore its tasks.
+
+    Raises:
+        StorageError: In use, damaged, shorter than what was acknowledged, of a newer version, or not writable.
+    """
+    log = SqliteLog(directory)
+    try:
+        return log, restore_all(log.reads)
+    except BaseException:
+        log.close()
+        raise
+
+
+def restore_all(log: LogReader) -> list[ServedTask]:
+    """Replay every task while the database is checked on another thread.
 
     A task that cannot be replayed is included, marked as faulty; the others are served.
 
     Raises:
-        StorageError: The log, which is at `path`, is damaged.
+        StorageError: The log is damaged.
     """
     try:
         with ThreadPoolExecutor(1) as beside:
@@ -41,11 +55,11 @@ def restore_all(log: LogReader, path: Path) -> list[ServedTask]:
             tasks = [_restored(log, name) for name in log.tasks() if not name.startswith(DELETED)]
         found = damage.result()
     except UnknownTask as error:
-        raise StorageError(f"task log {path} lists a task that it does not find; restore a backup") from error
+        raise StorageError(f"task log {log.where} lists a task that it does not find; restore a backup") from error
     except StorageError as error:
-        raise StorageError(f"task log {path}: {error.message}") from error
+        raise StorageError(f"task log {log.where}: {error.message}") from error
     if found:
-        raise StorageError(f"task log {path} is damaged: {'; '.join(found[:3])}; restore a backup")
+        raise StorageError(f"task log {log.where} is damaged: {'; '.join(found[:3])}; restore a backup")
     return tasks
 
 
@@ -83,6 +97,15 @@ def _unknown(name: str) -> TaskSpec:
     return TaskSpec(name, (state,), (goal,), "This task's specification cannot be read.")
 
 
+def begun(creation: LoggedTrial | Event) -> ServedTask:
+    """The task as its first entry makes it."""
+    if not isinstance(creation, Event):
+        raise StorageError(f"a log begins with a trial at position {creation.seq}; restore a backup")
+    task = ServedTask(TaskSpec.from_dict(creation.body["spec"]))
+    task.begin(creation)
+    return task
+
+
 def restore(log: LogReader, name: str) -> ServedTask:
     """Replay a task.
 
@@ -94,8 +117,7 @@ def restore(log: LogReader, name: str) -> ServedTask:
     first = next(log.read(name), None)
     if not isinstance(first, Event) or first.kind != "create":
         raise StorageError(f"the log of task {name!r} does not begin with its creation; restore a backup")
-    task = ServedTask(TaskSpec.from_dict(first.body["spec"]))
-    task.begin(first)
+    task = begun(first)
     last, radii = log.last(name), load_radii(log, name)
     visible = Visible.of(log.events(name), last)
     if last <= FEW:
@@ -168,6 +190,49 @@ def _columns(entries: list[LoggedTrial], measured: int) -> TrialColumns:
         flags=np.array([trial.flags for trial in trials], dtype=np.uint8),
         outcomes=np.array([absent if trial.outcome is None else trial.outcome for trial in trials]),
     )
+
+
+def catch_up(log: LogReader, tasks: dict[str, ServedTask]) -> None:
+    """Bring restored tasks to the end of a log that another server writes; new ones are added.
+
+    A task that cannot go on is marked as faulty, as by `restore_all`.
+
+    Raises:
+        StorageError: The log cannot be read, is damaged, or is shorter than it was.
+    """
+    positions = {name: last for name, last in log.positions().items() if not name.startswith(DELETED)}
+    for gone in tasks.keys() - positions.keys():  # renamed or deleted
+        del tasks[gone]
+    for name, last in positions.items():
+        task = tasks.get(name)
+        if task is None:
+            tasks[name] = _restored(log, name)
+        elif last < task.seq:
+            raise StorageError(
+                f"the log of task {name!r} ends at position {last} and ended at {task.seq} before: the database went "
+                "back to an older state; fail over to a copy that has it all, or restart all servers to go on with "
+                "what is there"
+            )
+        elif not task.restored:
+            task.seq = last
+        elif last > task.seq:
+            try:
+                _follow(log, name, tasks)
+            except (StorageError, UnknownTask):
+                raise
+            except Exception as error:
+                logger.exception("task %s is not followed any more", name)
+                tasks[name] = _faulty(log, name, f"{type(error).__name__}: {error}")
+
+
+def _follow(log: LogReader, name: str, tasks: dict[str, ServedTask]) -> None:
+    task = tasks[name]
+    entries = list(log.read(name, task.seq))
+    if any(isinstance(entry, Event) and entry.kind == "rollback" for entry in entries):
+        tasks[name] = restore(log, name)
+        return
+    _replay(task, iter(entries), Visible((), entries[-1].seq))
+    task.publish()
 
 
 def _replay(task: ServedTask, entries: Iterator[LoggedTrial | Event], visible: Visible) -> None:

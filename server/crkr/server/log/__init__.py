@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from crkr.server.log.access import read_log
 from crkr.server.log.corrections import CORRECTIONS, Corrections, Visible, values_of
 from crkr.server.log.entries import DELETED, EVENT_KINDS, Event, LoggedTrial, PendingReport, Stored
+from crkr.server.log.reader import LogReader
 from crkr.server.log.sqlite_log import SqliteLog
-from crkr.server.log.sqlite_reader import SqliteReader
-from crkr.server.log.task_log import LogReader, TaskLog
+from crkr.server.log.task_log import TaskLog
 
 __all__ = [
     "CORRECTIONS",
@@ -18,9 +19,9 @@ __all__ = [
     "LoggedTrial",
     "PendingReport",
     "SqliteLog",
-    "SqliteReader",
     "Stored",
     "TaskLog",
     "Visible",
+    "read_log",
     "values_of",
 ]

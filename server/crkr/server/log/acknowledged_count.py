@@ -84,11 +84,11 @@ def read_tally(directory: Path) -> int:
     return int(found[1])
 
 
-def lost_end(path: Path, held: int, acknowledged: int) -> str:
+def lost_end(where: str, held: int, acknowledged: int) -> str:
     """The message about a log that lacks acknowledged entries."""
     return (
-        f"the task log {path} holds {held} entries, but {acknowledged} were acknowledged: its end is lost, or it is an "
-        "older copy"
+        f"the task log {where} holds {held} entries, but {acknowledged} were acknowledged: its end is lost, or it is "
+        "an older copy"
     )
 
 

@@ -7,30 +7,35 @@ import os
 import sqlite3
 import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any, Final, final
 
-from crkr.protocol import Conflict, StorageError, TaskSpec, Trial, id_from_wire, pack, unpack
+from crkr.protocol import Conflict, StorageError, TaskSpec
 from crkr.server.log.acknowledged_count import TALLY_NAME, Tally, lost_end, read_tally
 from crkr.server.log.data_files import LOCAL_DISK, check_database_files, file_system_of, identities, identity, is_remote
 from crkr.server.log.directory_lock import DirectoryLock
 from crkr.server.log.entries import DELETED, Event, LoggedTrial, PendingReport, Stored
 from crkr.server.log.journal_check import refuse_foreign_journal
-from crkr.server.log.rows import DIGEST_BYTES, ROW_COLUMNS, TRIAL_COLUMNS, body_digest, changed_digest, trial_row
+from crkr.server.log.new_rows import NewRows, changed_marks, event_row, new_name
+from crkr.server.log.reader import LogReader
+from crkr.server.log.rows import ROW_COLUMNS, TRIAL_COLUMNS, body_digest
 from crkr.server.log.schema import FILE_NAME, check_schema, connect, open_database, storage_errors
-from crkr.server.log.sqlite_reader import SqliteReader
+from crkr.server.log.sqlite_database import SqliteDatabase
 
 __all__ = ["SqliteLog"]
 
 logger = logging.getLogger(__name__)
 
 _INSERT: Final = f"INSERT INTO trial (task, {TRIAL_COLUMNS}) VALUES ({', '.join('?' * 14)})"
+_INSERT_WHOLE: Final = f"INSERT INTO trial (task, {ROW_COLUMNS}) VALUES ({', '.join('?' * 16)})"
 _FIND: Final = "SELECT seq, digest FROM trial WHERE task = ? AND id = ?"
 _ROW: Final = f"SELECT {ROW_COLUMNS} FROM trial WHERE task = ? AND id = ?"
 _TICK_NS: Final = 100_000_000  # longer than any file system's clock takes for a step
 _CLOSE_PATIENCE_S: Final = 0.5  # with a commit that is under way
+_INSERT_EVENT: Final = "INSERT INTO event (task, seq, time, kind, body, digest) VALUES (?, ?, ?, ?, ?, ?)"
 _MARK: Final = "UPDATE trial SET present_cost = ?, removed = ?, digest = ? WHERE task = ? AND id = ?"
 
 
@@ -59,7 +64,7 @@ class SqliteLog:
             self._where = str(directory)
             self._directory: tuple[int, int, int] | None = None  # as it was when all names were looked at
             self._seen: tuple[tuple[int, int, int] | None, int] = None, 0  # a directory, and since when it is so [ns]
-            self.reads = SqliteReader(self.path)
+            self.reads = LogReader(SqliteDatabase(self.path))
             undo.callback(self.reads.close)
             self._last = self.reads.positions()
             with storage_errors(f"list the tasks of {self.path}"):
@@ -71,13 +76,27 @@ class SqliteLog:
         self._writing = threading.Lock()
         self._closing = self._closed = False
 
+    @property
+    def where(self) -> str:
+        """The file."""
+        return str(self.path)
+
+    @property
+    def log_id(self) -> None:
+        """None: one server at a time has the file, and clients know it by an id of its own."""
+        return None
+
+    def recover(self) -> list[tuple[str, list[LoggedTrial | Event]]]:
+        """Nothing: a commit either happened or raised."""
+        return []
+
     def create(self, spec: TaskSpec) -> Event:
         """Store a new task; its create event has seq 1."""
         with self._transaction(f"create task {spec.name!r}") as connection:
-            cursor = connection.execute("INSERT INTO task (name) VALUES (?)", (spec.name,))
-            key = int(cursor.lastrowid or 0)
-            event = _insert_event(connection, key, 1, "create", {"spec": spec.to_dict()})
-            self._added += 1
+            key = _insert_task(connection, spec.name)
+            event, row = event_row(key, 1, "create", {"spec": spec.to_dict()})
+            connection.execute(_INSERT_EVENT, row)
+            self._added = 1
         self._keys[spec.name], self._last[spec.name] = key, 1
         return event
 
@@ -85,55 +104,24 @@ class SqliteLog:
         """Store several reports in one transaction; a report in conflict leaves the others alone."""
         last = {report.task: self._last[report.task] for report in reports}
         with self._transaction("store trials") as connection:
-            now = time.time()
-            results: list[Stored | Conflict] = []
-            for report in reports:
-                result = self._append_report(connection, report, last[report.task], now)
-                if isinstance(result, Stored) and result.fresh:
-                    last[report.task] = result.fresh[-1].seq
-                    self._added += len(result.fresh)
-                results.append(result)
+            new = NewRows(last)
+            results = [new.add(self._keys[report.task], report, partial(_find, connection)) for report in reports]
+            connection.executemany(_INSERT, new.trials)
+            self._added = len(new.trials)
         self._last.update(last)
         return results
-
-    def _append_report(
-        self, connection: sqlite3.Connection, report: PendingReport, last: int, now: float
-    ) -> Stored | Conflict:
-        """Look up every id before storing, so that a report in conflict stores nothing."""
-        key = self._keys[report.task]
-        seqs: list[int] = []
-        fresh: list[LoggedTrial] = []
-        rows: list[tuple[Any, ...]] = []
-        seen: dict[bytes, tuple[int, bytes]] = {}
-        for trial in report.trials:
-            digest = trial.digest()
-            known = seen.get(trial.id.bytes) or connection.execute(_FIND, (key, trial.id.bytes)).fetchone()
-            if known is None:
-                known = (last + len(fresh) + 1, digest)
-                fresh.append(LoggedTrial(known[0], now, trial))
-                rows.append(trial_row(key, known[0], now, trial, digest))
-            elif known[1][:DIGEST_BYTES] != digest:
-                return _conflict(trial, int(known[0]))
-            seen[trial.id.bytes] = (int(known[0]), digest)
-            seqs.append(int(known[0]))
-        connection.executemany(_INSERT, rows)
-        return Stored(tuple(seqs), tuple(fresh))
 
     def append_event(self, task: str, kind: str, body: Mapping[str, Any]) -> Event:
         """Store an event and update the trials it names."""
         key, seq = self._keys[task], self._last[task] + 1
         with self._transaction(f"store {kind} of task {task!r}") as connection:
-            event = _insert_event(connection, key, seq, kind, body)
-            self._added += 1
-            if kind == "recost":
-                for identity, cost in zip(body["ids"], body["costs"], strict=True):
-                    _mark(connection, key, id_from_wire(identity).bytes, cost=cost + 0.0)  # SQLite drops -0.0's sign
-            elif kind == "remove":
-                for identity in body["ids"]:
-                    _mark(connection, key, id_from_wire(identity).bytes, removed=True)
-            elif kind in ("rename", "delete"):
-                connection.execute("UPDATE task SET name = ? WHERE id = ?", (body["name"], key))
-        name = str(body["name"]) if kind in ("rename", "delete") else task
+            event, row = event_row(key, seq, kind, body)
+            connection.execute(_INSERT_EVENT, row)
+            self._added = 1
+            connection.executemany(_MARK, changed_marks(event, lambda one: _row(connection, key, one), key))
+            name = new_name(event) or task
+            if name != task:
+                connection.execute("UPDATE task SET name = ? WHERE id = ?", (name, key))
         del self._keys[task], self._last[task]
         self._keys[name], self._last[name] = key, seq
         return event
@@ -155,6 +143,16 @@ class SqliteLog:
                 self._writer.execute("VACUUM")
         return gone
 
+    def adopt(self, task: str, events: Iterable[tuple[Any, ...]], trials: Iterable[tuple[Any, ...]]) -> int:
+        """Store another log's rows of a task as they are, in one transaction; returns how many there were."""
+        with self._transaction(f"copy task {task!r}") as connection:
+            key = _insert_task(connection, task)
+            for statement, rows in ((_INSERT_EVENT, events), (_INSERT_WHOLE, trials)):
+                self._added += connection.executemany(statement, ((key, *row) for row in rows)).rowcount
+            added = self._added
+        self._keys[task], self._last[task] = key, added
+        return added
+
     def save_cache(self, task: str, version: int, data: bytes) -> None:
         """Cache bytes that belong to a log position, replacing earlier ones."""
         key = self._keys.get(task)
@@ -165,6 +163,17 @@ class SqliteLog:
                 "INSERT OR REPLACE INTO cache (task, version, data, digest) VALUES (?, ?, ?, ?)",
                 (key, version, data, body_digest(f"cache {version}", data)),
             )
+
+    def sizes(self) -> tuple[int, int]:
+        """Bytes of the log's files, and those free on its disk."""
+        stored = free = 0
+        for path in self.path.parent.glob("*.sqlite3*"):
+            with suppress(FileNotFoundError):  # a backup that is being made, or SQLite's own at the end
+                stored += path.stat().st_size
+        with suppress(OSError):  # moved away: there is no room then
+            disk = os.statvfs(self.path.parent)
+            free = disk.f_bavail * disk.f_frsize
+        return stored, free
 
     def close(self) -> None:
         """Empty the write-ahead log into the database and unlock the directory; idempotent.
@@ -286,41 +295,31 @@ def _play_back(path: Path) -> None:
 
 def _refuse_what_lost_its_end(path: Path) -> None:
     """Raise `StorageError` if acknowledged entries are missing, before SQLite may discard what it cannot read."""
-    acknowledged, held = read_tally(path.parent), 0
     if path.is_file() and path.stat().st_size:
-        reader = SqliteReader(path)
+        reader = LogReader(SqliteDatabase(path))
         try:
-            held = sum(reader.positions().values())
+            lost = reader.lost_end()
         finally:
             reader.close()
-    if held < acknowledged:
+    else:
+        acknowledged = read_tally(path.parent)
+        lost = lost_end(str(path), 0, acknowledged) if acknowledged else ""
+    if lost:
         raise StorageError(
-            f"{lost_end(path, held, acknowledged)}; restore a backup into an empty directory, or delete "
-            f"{path.parent / TALLY_NAME} to go on with what is there"
+            f"{lost}; restore a backup into an empty directory, or delete {path.parent / TALLY_NAME} to go on with "
+            "what is there"
         )
 
 
-def _insert_event(connection: sqlite3.Connection, key: int, seq: int, kind: str, body: Mapping[str, Any]) -> Event:
-    now, data = time.time(), pack(body)
-    connection.execute(
-        "INSERT INTO event (task, seq, time, kind, body, digest) VALUES (?, ?, ?, ?, ?, ?)",
-        (key, seq, now, kind, data, body_digest(kind, data)),
-    )
-    return Event(seq, now, kind, unpack(data, depth=None))
+def _insert_task(connection: sqlite3.Connection, name: str) -> int:
+    return int(connection.execute("INSERT INTO task (name) VALUES (?)", (name,)).lastrowid or 0)
 
 
-def _mark(
-    connection: sqlite3.Connection, key: int, identity: bytes, *, cost: float | None = None, removed: bool = False
-) -> None:
-    """Set a trial's present cost, or mark it as removed; the other of the two stays."""
-    row = connection.execute(_ROW, (key, identity)).fetchone()
-    if row is not None:
-        cost, removed = row[13] if cost is None else cost, removed or bool(row[14])
-        connection.execute(_MARK, (cost, removed, changed_digest(row, cost, removed), key, identity))
+def _find(connection: sqlite3.Connection, key: int, identity: bytes) -> tuple[int, bytes] | None:
+    row: tuple[int, bytes] | None = connection.execute(_FIND, (key, identity)).fetchone()
+    return row
 
 
-def _conflict(trial: Trial, seq: int) -> Conflict:
-    return Conflict(
-        f"trial {trial.id} is stored at log position {seq} with other content; use a new id for a new trial",
-        details={"id": trial.id.bytes, "seq": seq},
-    )
+def _row(connection: sqlite3.Connection, key: int, identity: bytes) -> tuple[Any, ...] | None:
+    row: tuple[Any, ...] | None = connection.execute(_ROW, (key, identity)).fetchone()
+    return row

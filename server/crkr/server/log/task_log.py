@@ -1,87 +1,45 @@
-"""The interface of a task log, so that another database can replace SQLite."""
+"""The interface of a task log, which SQLite and PostgreSQL implement."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Protocol
 from uuid import UUID
 
-from crkr.learner import TrialColumns
 from crkr.protocol import Conflict, TaskSpec
 from crkr.server.log.entries import Event, LoggedTrial, PendingReport, Stored
+from crkr.server.log.reader import LogReader
 
-__all__ = ["LogReader", "TaskLog"]
-
-
-class LogReader(Protocol):
-    """Reads events of many tasks, from any thread.
-
-    Every method raises `StorageError` when the store cannot be read.
-    """
-
-    def tasks(self) -> tuple[str, ...]:
-        """Names of all tasks, oldest first."""
-        ...
-
-    def last(self, task: str) -> int:
-        """Log position of the task's last entry."""
-        ...
-
-    def read(self, task: str, after: int = 0) -> Iterator[LoggedTrial | Event]:
-        """All entries past a log position, in order, checked against their digests."""
-        ...
-
-    def blocks(
-        self, task: str, dimensions: int, outputs: int, measured: int, upto: int
-    ) -> Iterator[TrialColumns | Event]:
-        """The entries up to a log position as `read` gives them, neighbouring trials together; many times quicker."""
-        ...
-
-    def page(self, task: str, after: int, limit: int, most_bytes: int) -> tuple[list[dict[str, Any]], int | None]:
-        """Trials past a log position as wire maps with their present costs, and where to go on (None at the end)."""
-        ...
-
-    def page_before(
-        self, task: str, before: int | None, limit: int, most_bytes: int
-    ) -> tuple[list[dict[str, Any]], int | None]:
-        """The same backwards: trials before a log position (None: from the end), newest first, and where to go on."""
-        ...
-
-    def trials(self, task: str, ids: Sequence[UUID]) -> list[dict[str, Any]]:
-        """Trials by their ids, as in `page` and in the order asked; unknown ids are left out."""
-        ...
-
-    def events(self, task: str) -> Iterator[Event]:
-        """All events in order, without the trials."""
-        ...
-
-    def event(self, task: str, seq: int) -> Event | None:
-        """The event at a log position, None where there is none."""
-        ...
-
-    def load_cache(self, task: str) -> tuple[int, bytes] | None:
-        """The cached bytes and their log position; None if missing or damaged."""
-        ...
-
-    def integrity(self) -> list[str]:
-        """Errors that the store finds in its own layout; reads everything."""
-        ...
-
-    def backup(self, target: Path) -> None:
-        """Copy the present log into a new file, which gets its name only once it is complete."""
-        ...
+__all__ = ["TaskLog"]
 
 
 class TaskLog(Protocol):
     """Stores events of many tasks, durably before a method returns, one write at a time.
 
-    Every method raises `StorageError` when the store cannot be written; nothing is half written then.
+    Every method raises `StorageError` when the store cannot be written; nothing is half written then. Where the store
+    is away, or another server owns it now, a writing method raises `ShuttingDown`: the same request may be sent again.
     """
 
     @property
     def reads(self) -> LogReader:
         """The reading side."""
+        ...
+
+    @property
+    def where(self) -> str:
+        """The place, for messages."""
+        ...
+
+    @property
+    def log_id(self) -> UUID | None:
+        """Identifies a log that several servers share."""
+        ...
+
+    def recover(self) -> list[tuple[str, list[LoggedTrial | Event]]]:
+        """Tasks and entries that are stored although the method that wrote them raised `ShuttingDown`.
+
+        Called before each write. Raises as the writing methods do while the store is away.
+        """
         ...
 
     def create(self, spec: TaskSpec) -> Event:
@@ -100,8 +58,16 @@ class TaskLog(Protocol):
         """Remove deleted tasks for good; returns the names that they had in the log."""
         ...
 
+    def adopt(self, task: str, events: Iterable[tuple[Any, ...]], trials: Iterable[tuple[Any, ...]]) -> int:
+        """Store another log's rows of a task, as `LogReader.raw` gives them; returns how many there were."""
+        ...
+
     def save_cache(self, task: str, version: int, data: bytes) -> None:
         """Cache bytes that belong to a log position, replacing earlier ones."""
+        ...
+
+    def sizes(self) -> tuple[int | None, int | None]:
+        """Bytes of the log, and those free for it; None where unknown."""
         ...
 
     def close(self) -> None:

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import os
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import suppress
 from importlib.metadata import version
 from typing import Final, final
 
@@ -128,16 +126,11 @@ class MetricsCollector(Collector):
         yield from (workers, trials)
 
     def _disk(self) -> Iterator[Metric]:
-        stored = 0
-        for path in self._sources.data.glob("*.sqlite3*"):
-            with suppress(FileNotFoundError):  # a backup that is being made, or SQLite's own at the end
-                stored += path.stat().st_size
-        yield GaugeMetricFamily("crkr_log_bytes", "Size of the task log's files.", stored)
-        free = 0
-        with suppress(OSError):  # moved away: there is no room then
-            disk = os.statvfs(self._sources.data)
-            free = disk.f_bavail * disk.f_frsize
-        yield GaugeMetricFamily("crkr_disk_free_bytes", "Room for the task log.", free)
+        stored, free = self._sources.sizes()
+        if stored is not None:
+            yield GaugeMetricFamily("crkr_log_bytes", "Size of the task log's files or tables.", stored)
+        if free is not None:
+            yield GaugeMetricFamily("crkr_disk_free_bytes", "Room for the task log.", free)
 
 
 def _numbers(task: ServedTask) -> tuple[float, ...]:

@@ -53,12 +53,16 @@ class MetricsEndpoint:
             reason = taken if error.errno == errno.EADDRINUSE else error.strerror or str(error)
             raise Unavailable(f"cannot serve metrics on {_shown(host, port)}: {reason}") from error
         self.address: Final = _shown(host, self._http.server_address[1])
+        self._shown: MetricsCollector | None = None
         self._thread = threading.Thread(target=keep_running, args=(self._serve,), name="metrics", daemon=True)
         self._thread.start()
 
     def show(self, sources: MetricSources) -> None:
-        """Answer with a server's metrics too, from now on."""
-        self._registry.register(MetricsCollector(sources))
+        """Answer with a server's metrics too, from now on; with those of one server at a time."""
+        if self._shown is not None:
+            self._registry.unregister(self._shown)
+        self._shown = MetricsCollector(sources)
+        self._registry.register(self._shown)
 
     def _serve(self) -> bool:
         self._http.serve_forever(_POLL_S)

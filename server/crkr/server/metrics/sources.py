@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, final
 
 from crkr.server.learning.tasks import Tasks
@@ -21,7 +20,7 @@ class MetricSources:
     """Read only; any thread may.
 
     Attributes:
-        data: Data directory.
+        sizes: Gives the bytes of the log, and those free for it; None where unknown.
         tasks: What is served.
         latencies: Times and errors of the answers.
         workers: The workers of each task.
@@ -30,7 +29,7 @@ class MetricSources:
         queues: Verb -> {waiting, limit}.
     """
 
-    data: Path
+    sizes: Callable[[], tuple[int | None, int | None]]
     tasks: Tasks
     latencies: Latencies
     workers: Workers

@@ -10,17 +10,18 @@ from typing import Any, Final, final
 from crkr.protocol import (
     Busy,
     Conflict,
+    CrkrError,
     Invalid,
     Receipt,
     ReportRequest,
     ShuttingDown,
-    StorageError,
     TaskSpec,
     UnknownTask,
     check_model_fits,
     id_from_wire,
     refuse_absurd,
 )
+from crkr.server.learning.restore import batches, begun
 from crkr.server.learning.tasks import ServedTask, Tasks
 from crkr.server.learning.thread import Learning
 from crkr.server.learning.waits import Waits
@@ -95,10 +96,11 @@ class Writer:
 
     def _commit(self, decoded: list[tuple[Request, ServedTask, ReportRequest]]) -> None:
         try:
+            self._recover()
             pending = [PendingReport(task.name, asked.trials) for _, task, asked in decoded]
             with self.commits.timing():
                 results = self._log.append_reports(pending)
-        except StorageError as error:
+        except CrkrError as error:  # STORAGE, or SHUTTING_DOWN where the database is away for now
             logger.error("reports were not stored: %s", error.message)
             for request, _, _ in decoded:
                 request.fail(error)
@@ -162,10 +164,12 @@ class Writer:
             check_model_fits(spec)
             refuse_absurd(spec)
             task = ServedTask(spec)  # raises for settings that the learner lacks, before anything is stored
-            with self.commits.timing():
-                creation = self._log.create(spec)
-            task.begin(creation)
-            self._tasks.add(task)
+            with self._order:
+                self._recover()
+                with self.commits.timing():
+                    creation = self._log.create(spec)
+                task.begin(creation)
+                self._tasks.add(task)
             logger.info("created task %s", spec.name)
             request.reply({"created": True, "spec_hash": spec.fingerprint()})
             return
@@ -176,6 +180,18 @@ class Writer:
                 details={"fields": fields},
             )
         request.reply({"created": False, "spec_hash": task.created.fingerprint()})
+
+    def _recover(self) -> None:
+        """Serve what was stored although its commit seemed to fail. The caller holds the order."""
+        for name, entries in self._log.recover():
+            created = name not in self._tasks
+            if created:
+                self._tasks.add(begun(entries[0]))
+            task = self._tasks.look(name)
+            for batch in batches(entries[created:], MOST_REPORTS):
+                for entry in [batch] if isinstance(batch, Event) else batch:
+                    task.note(entry)
+                self._learning.submit(task, batch)
 
     def _change(self, request: Request) -> None:
         task = self._tasks.get(request.task)
@@ -205,8 +221,14 @@ class Writer:
         with self._order:
             if task.archived or task.deleted:
                 return
-            with self.commits.timing():
-                event = self._log.append_event(task.name, "restart", {})
+            try:
+                self._recover()
+                with self.commits.timing():
+                    event = self._log.append_event(task.name, "restart", {})
+            except CrkrError as error:
+                logger.warning("the restart of task %s's outcome model was not stored: %s", task.name, error.message)
+                task.restarting = False
+                return
             task.note(event)
             logger.warning("task %s: the robot has changed; outcomes are learned anew from %d", task.name, event.seq)
             self._learning.submit(task, event, None)
@@ -219,6 +241,7 @@ class Writer:
             self._refuse_in_use(task, change)
         else:
             refuse_archived(task)
+        self._recover()
         body: Mapping[str, Any] | None = change.body
         if change.ids:
             found = self._log.reads.trials(task.name, change.ids)

@@ -1,0 +1,113 @@
+"""Access to a log at any place: to read it, to write where no server does, and to copy tasks row by row."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sqlite3
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Final
+
+from crkr.protocol import Conflict, StorageError, UnknownTask
+from crkr.server.log.postgres.url import is_url, printable_location
+from crkr.server.log.reader import LogReader
+from crkr.server.log.schema import FILE_NAME, storage_errors
+from crkr.server.log.sqlite_database import SqliteDatabase
+from crkr.server.log.sqlite_log import SqliteLog
+from crkr.server.log.task_log import TaskLog
+
+__all__ = ["copy_tasks", "copy_to_file", "database_file", "open_unserved", "read_log"]
+
+_LOOK_S: Final = 0.2
+
+
+def database_file(where: str | Path) -> Path:
+    """The file of a data directory, or the file itself."""
+    path = Path(where)
+    return path if path.suffix == Path(FILE_NAME).suffix and not path.is_dir() else path / FILE_NAME
+
+
+def read_log(where: str | Path) -> LogReader:
+    """Open a log for reading, beside a server that uses it if need be.
+
+    Raises:
+        StorageError: There is no log, it is damaged, or of a newer version.
+    """
+    if is_url(where):
+        from crkr.server.log.postgres.database import PostgresDatabase
+
+        return LogReader(PostgresDatabase(str(where)))
+    return LogReader(SqliteDatabase(database_file(where)))
+
+
+def copy_tasks(
+    source: LogReader, target: TaskLog, names: Sequence[str] = (), done: Callable[[str, int], None] = lambda *_: None
+) -> tuple[str, ...]:
+    """Copy tasks, each in one transaction, as the source is at this moment.
+
+    Args:
+        source: Where from; a server may use it meanwhile.
+        target: Where to.
+        names: The tasks; none: all.
+        done: Told of each copied task and its number of entries.
+
+    Returns:
+        The copied tasks.
+
+    Raises:
+        UnknownTask: The source lacks one.
+        Conflict: The target has one of that name.
+        StorageError: The source cannot be read, or the target not be written.
+    """
+    with source.snapshot():
+        there = source.tasks()
+        if unknown := [name for name in names if name not in there]:
+            raise UnknownTask(f"{source.where} holds no task {unknown[0]!r}; it has: {', '.join(there) or 'none'}")
+        wanted = tuple(names) or there
+        if taken := [name for name in target.reads.positions() if name in wanted]:
+            raise Conflict(f"{target.reads.where} holds a task {taken[0]!r} already; copy into another log")
+        for name in wanted:
+            done(name, target.adopt(name, *source.raw(name)))
+    return wanted
+
+
+def copy_to_file(source: LogReader, target: Path) -> None:
+    """Copy a whole log into a new file of SQLite's, which gets its name only once it is complete."""
+    if target.exists():
+        raise StorageError(f"{target} exists; choose another file")
+    folder = Path(tempfile.mkdtemp(prefix=f".{target.name}.", dir=target.parent))
+    try:
+        log = SqliteLog(folder)
+        try:
+            copy_tasks(source, log)
+        finally:
+            log.close()
+        with storage_errors(f"back up to {target}"):
+            copy = sqlite3.connect(log.path)
+            copy.execute("PRAGMA journal_mode = DELETE")  # one file, complete in itself
+            copy.close()
+        os.replace(log.path, target)
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def open_unserved(where: str) -> TaskLog:
+    """Open a log for writing that no server uses; raises `StorageError` if one does."""
+    if not is_url(where):
+        return SqliteLog(Path(where))
+    from crkr.server.log.postgres.lease import LEASE_S, Lease
+    from crkr.server.log.postgres.log import PostgresLog
+
+    lease = Lease(where)
+    deadline = time.monotonic() + 2 * LEASE_S
+    while True:
+        row = lease.look()
+        if lease.may_take(row) and lease.take(row):
+            return PostgresLog(where, lease, row)
+        if time.monotonic() > deadline:
+            lease.give_up()
+            raise StorageError(f"the server at {row.address} uses {printable_location(where)}; stop it first")
+        time.sleep(_LOOK_S)

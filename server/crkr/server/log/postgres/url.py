@@ -1,0 +1,22 @@
+"""URLs of databases. This module needs no psycopg, so that any command can tell a database from a data directory."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Final
+
+__all__ = ["is_url", "printable_location"]
+
+_URL: Final = re.compile(r"postgres(?:ql)?://")
+_PASSWORD: Final = re.compile(r"(://[^/@:]*):[^@/]*@|(password=)[^&]*")
+
+
+def is_url(where: str | Path) -> bool:
+    """Whether a log is a PostgreSQL database."""
+    return _URL.match(str(where)) is not None
+
+
+def printable_location(where: str | Path) -> str:
+    """A location without its password."""
+    return _PASSWORD.sub(lambda found: f"{found[1]}@" if found[1] else f"{found[2]}...", str(where))

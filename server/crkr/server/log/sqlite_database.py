@@ -1,0 +1,113 @@
+"""A log's SQLite file, read from any thread."""
+
+from __future__ import annotations
+
+import os
+import sqlite3
+import threading
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager
+from pathlib import Path
+from typing import Any, Final, final
+
+from crkr.protocol import StorageError
+from crkr.server.log.acknowledged_count import read_tally
+from crkr.server.log.data_files import check_database_files
+from crkr.server.log.journal_check import refuse_foreign_wal
+from crkr.server.log.schema import check_version, connect, read_errors, storage_errors
+
+__all__ = ["SqliteDatabase"]
+
+
+@final
+class SqliteDatabase:
+    """A `Database` in one file.
+
+    Attributes:
+        where: The file.
+        is_log: There are tables in it.
+        acknowledged: Log positions that the file beside it says were acknowledged.
+
+    Raises:
+        StorageError: There is no log, it is damaged, or of a newer version.
+    """
+
+    def __init__(self, path: Path) -> None:
+        check_database_files(path)
+        if not path.is_file() or not path.stat().st_size:  # beside an empty database SQLite deletes the write-ahead log
+            raise StorageError(f"there is no task log {path}")
+        self._path = path
+        self.where: Final = str(path)
+        self.acknowledged: Final = read_tally(path.parent)  # before the log, which a server may add to meanwhile
+        self._threads = threading.local()
+        self._open: list[tuple[threading.Thread, sqlite3.Connection]] = []
+        try:
+            with read_errors(f"open the task log {path}"):
+                self.is_log: Final = check_version(self._connection(), path)
+                if self.is_log:
+                    refuse_foreign_wal(self._connection(), path)
+        except StorageError:
+            self.close()
+            raise
+
+    def rows(self, statement: str, *values: object) -> list[tuple[Any, ...]]:
+        """As `Database.rows`."""
+        return self._connection().execute(statement, values).fetchall()
+
+    def errors(self, doing: str) -> AbstractContextManager[None]:
+        """As `Database.errors`."""
+        return read_errors(doing)
+
+    @contextmanager
+    def snapshot(self) -> Iterator[None]:
+        """As `Database.snapshot`."""
+        connection = self._connection()
+        connection.execute("BEGIN")
+        try:
+            yield
+        finally:
+            connection.execute("ROLLBACK")
+
+    def integrity(self) -> list[str]:
+        """Errors that SQLite finds in the database's pages and indexes; reads everything."""
+        with read_errors("check the task log"):
+            found = [str(row[0]) for row in self.rows("PRAGMA integrity_check")]
+        return [] if found == ["ok"] else found
+
+    def backup(self, target: Path) -> None:
+        """Copy the present log into a new file, which gets its name only once it is complete."""
+        if target.exists():
+            raise StorageError(f"{target} exists; choose another file")
+        partial = target.with_name(f"{target.name}.{os.getpid()}.partial")  # another backup's is not ours to end
+        try:
+            with storage_errors(f"back up to {target}"):
+                os.close(
+                    os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
+                )  # no link's target
+                copy = sqlite3.connect(partial)
+                try:
+                    self._connection().backup(copy)
+                    copy.execute("PRAGMA journal_mode = DELETE")  # one file, complete in itself
+                finally:
+                    copy.close()
+            os.replace(partial, target)
+        finally:
+            for name in (partial.name, f"{partial.name}-journal"):
+                partial.with_name(name).unlink(missing_ok=True)
+
+    def close(self) -> None:
+        """Close the connections of this thread and of those that ended; idempotent.
+
+        One that another thread may just be reading from is left to that thread: to close it would end the process.
+        """
+        while self._open:
+            thread, connection = self._open.pop()
+            if thread is threading.current_thread() or not thread.is_alive():
+                connection.close()
+
+    def _connection(self) -> sqlite3.Connection:
+        connection: sqlite3.Connection | None = getattr(self._threads, "connection", None)
+        if connection is None:
+            connection = self._threads.connection = connect(self._path, read_only=True)
+            self._open.append((threading.current_thread(), connection))
+        return connection

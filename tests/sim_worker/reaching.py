@@ -87,6 +87,18 @@ class Bare:
         self.spec, self.reset, self.execute = whole.spec, whole.reset, whole.execute
 
 
+class Fixed(Reaching):
+    """Is judged in states on the x axis; its planner succeeds to the right."""
+
+    def evaluation_context(self, number: int, rng: np.random.Generator) -> Floats:
+        del rng  # Unused.
+        self._state = np.array([1.0 if number % 2 else -1.0, 0.0])
+        return self._state.copy()
+
+    def best_plan(self, state: Floats) -> dict[str, bool]:
+        return {"exact": bool(state[0] > 0)}
+
+
 class Unmoved(Reaching):
     """Executes nothing, so that the model stays what the demonstrations made it."""
 
@@ -115,6 +127,10 @@ def make(options: SkillOptions) -> Reaching:
 
 def make_bare(options: SkillOptions) -> Bare:
     return Bare(options)
+
+
+def make_fixed(options: SkillOptions) -> Reaching:
+    return Fixed(options)
 
 
 def make_unmoved(options: SkillOptions) -> Reaching:

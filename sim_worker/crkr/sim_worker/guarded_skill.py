@@ -17,7 +17,17 @@ import numpy as np
 from crkr.client.tally import success_by_criterion
 from crkr.protocol import CrkrError, Geom, TaskSpec, Trace, Trial
 from crkr.protocol.checks import finite_array
-from crkr.sim_worker.skill import Demonstration, Floats, HasDemonstrations, HasPlanner, HasScene, Skill, TrialResult
+from crkr.sim_worker.skill import (
+    Demonstration,
+    Floats,
+    HasContexts,
+    HasDemonstrations,
+    HasPlanner,
+    HasScene,
+    Skill,
+    TrialResult,
+    judged_state,
+)
 
 __all__ = ["GuardedSkill", "SkillFault", "guarded_plan", "keep_standard_output", "one_line", "skill_code"]
 
@@ -65,7 +75,7 @@ def one_line(error: BaseException) -> str:
 
 @final
 class GuardedSkill:
-    """A skill whose results are checked; implements `Skill`, `HasDemonstrations` and `HasScene`.
+    """A skill whose results are checked; implements `Skill`, `HasDemonstrations`, `HasContexts` and `HasScene`.
 
     An exception of `execute`, or a result that no trial can hold, gives a failed trial with its reason. An exception of
     any other method ends the run with one line.
@@ -112,10 +122,12 @@ class GuardedSkill:
 
     def reset(self, rng: np.random.Generator) -> Floats:
         """A new situation's state (d,)."""
-        size = len(self._checked_spec.state)
-        with skill_code(self._fault("reset")):
-            self._state = finite_array(self._skill.reset(rng), "the state", (size,))
-        return self._state
+        return self._put("reset", lambda: self._skill.reset(rng))
+
+    def evaluation_context(self, number: int, rng: np.random.Generator) -> Floats:
+        """The state (d,) of situation `number` of an evaluation, the skill's own or drawn by `reset`."""
+        method = "evaluation_context" if isinstance(self._skill, HasContexts) else "reset"
+        return self._put(method, lambda: judged_state(self._skill, number, rng))
 
     def execute(self, goal: Floats) -> TrialResult:
         """The result of a goal (p,); a fault of the skill gives a failed trial."""
@@ -158,6 +170,12 @@ class GuardedSkill:
             logger.warning("%s.scene must return Geoms; got %s; displays show no shapes", self._name, strange[0])
             return []
         return shapes
+
+    def _put(self, method: str, call: Callable[[], Floats]) -> Floats:
+        size = len(self._checked_spec.state)
+        with skill_code(self._fault(method)):
+            self._state = finite_array(call(), "the state", (size,))
+        return self._state
 
     @property
     def _checked_spec(self) -> TaskSpec:

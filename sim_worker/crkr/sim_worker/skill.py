@@ -2,7 +2,10 @@
 
 A skill is an object with three methods (`Skill`): `spec`, `reset` and `execute`. It may offer more, each for one
 purpose: `demonstrations` to start from (`HasDemonstrations`), a `scene` for displays (`HasScene`), a planner for
-`crkr oracle` (`HasPlanner`) and the options that it chose (`HasOptions`). examples/reach.py is a whole one.
+`crkr oracle` (`HasPlanner`, `HasPlan`) and the options that it chose (`HasOptions`). `restore` makes stored trials
+playable again (`HasStates`), `film` gives pictures a finer motion (`HasFilm`), `draw_policy` puts a policy into its
+space (`HasPolicyFigure`), and `evaluation_context` chooses what it is judged in (`HasContexts`). examples/reach.py is a
+whole one.
 """
 
 from __future__ import annotations
@@ -19,12 +22,18 @@ from crkr.protocol import Geom, Invalid, TaskSpec, Trace
 
 __all__ = [
     "Demonstration",
+    "Film",
     "Floats",
     "Geom",
+    "HasContexts",
     "HasDemonstrations",
+    "HasFilm",
     "HasOptions",
+    "HasPlan",
     "HasPlanner",
+    "HasPolicyFigure",
     "HasScene",
+    "HasStates",
     "Invalid",
     "Skill",
     "SkillFactory",
@@ -33,6 +42,7 @@ __all__ = [
     "TaskSpec",
     "Trace",
     "TrialResult",
+    "judged_state",
     "options_in_force",
 ]
 
@@ -96,6 +106,19 @@ class Demonstration:
     result: TrialResult
 
 
+@dataclass(frozen=True, slots=True)
+class Film:
+    """The motion of one trial, for pictures.
+
+    Attributes:
+        trace: Poses and paths.
+        moment: The time that matters most, as of a hit or a release [s]; None where none does.
+    """
+
+    trace: Trace
+    moment: float | None = None
+
+
 class Skill(Protocol):
     """A task that can be tried: it draws situations and executes goals."""
 
@@ -147,6 +170,51 @@ class HasPlanner(Protocol):
 
 
 @runtime_checkable
+class HasPlan(Protocol):
+    """A skill that can tell such a plan."""
+
+    def plan(self, state: Floats, /) -> tuple[Floats, TrialResult] | None:
+        """A goal (p,) that succeeds in a state (d,), and its result; None where it finds none."""
+        ...
+
+
+@runtime_checkable
+class HasStates(Protocol):
+    """A skill that can be put into any state, as into that of a stored trial."""
+
+    def restore(self, state: Floats, /) -> None:
+        """Puts the situation of a state (d,); the next `execute` starts from it."""
+        ...
+
+
+@runtime_checkable
+class HasFilm(Protocol):
+    """A skill whose motion can be told more finely than traces have it."""
+
+    def film(self, goal: Floats, interval: float, /) -> Film | None:
+        """The motion of `execute` in steps of at most `interval` [s]; None where the goal is refused."""
+        ...
+
+
+@runtime_checkable
+class HasPolicyFigure(Protocol):
+    """A skill that draws what goals mean in its space, for `crkr plot policy`."""
+
+    def draw_policy(self, figure: Any, states: Floats, goals: Floats, index: int, /) -> None:
+        """Draws goals (n, p) of states (n, d), which differ in coordinate `index`, into an empty Matplotlib figure."""
+        ...
+
+
+@runtime_checkable
+class HasContexts(Protocol):
+    """A skill that chooses the situations that it is judged in, as a benchmark's fixed ones."""
+
+    def evaluation_context(self, number: int, rng: np.random.Generator, /) -> Floats:
+        """Puts situation `number` of an evaluation and returns its state (d,); without it, `reset` draws one."""
+        ...
+
+
+@runtime_checkable
 class HasOptions(Protocol):
     """A skill that tells what it chose where its options left it the choice."""
 
@@ -159,6 +227,11 @@ class HasOptions(Protocol):
 def options_in_force(skill: Skill, asked: SkillOptions) -> SkillOptions:
     """The options that a skill made with `asked` runs with; `asked` itself if it does not tell."""
     return skill.options if isinstance(skill, HasOptions) else asked
+
+
+def judged_state(skill: Skill, number: int, rng: np.random.Generator) -> Floats:
+    """Puts situation `number` of an evaluation, the skill's own or drawn from `rng`, and returns its state (d,)."""
+    return skill.evaluation_context(number, rng) if isinstance(skill, HasContexts) else skill.reset(rng)
 
 
 class SkillFactory(Protocol):

@@ -24,6 +24,7 @@ __all__ = [
     "default_task",
     "installed_skills",
     "load_skill",
+    "skill_of",
     "specification",
     "task_name",
 ]
@@ -72,6 +73,14 @@ def default_task(name: str) -> str:
 def task_name(member: str) -> str:
     """A task's name for a family's member, as "reacher-v5" for "gymnasium:Reacher-v5"."""
     return re.sub(r"[^a-z0-9]+", "-", member.rpartition(":")[2].lower()).strip("-")[:63] or "task"
+
+
+def skill_of(spec: TaskSpec) -> str | None:
+    """The installed skill that a task says it is for, or is named after; None where there is none.
+
+    A name with a colon is not taken from a server: it would run any code that it names.
+    """
+    return next((name for name in (spec.skill, spec.name) if name in installed_skills()), None)
 
 
 def load_skill(name: str, options: SkillOptions) -> Skill:

@@ -90,6 +90,11 @@ def test_the_oracle_plays_the_skills_own_planner(start_command: Start) -> None:
     assert (result["near"], result["exact"], result["contexts"]) == (1.0, 1.0, 25)
 
 
+def test_a_skill_may_choose_the_contexts_that_it_is_judged_in(start_command: Start) -> None:
+    words = ("oracle", "--skill", "reaching:make_fixed", "--contexts", "10", "--json")
+    assert start_command(*words).result()["exact"] == 0.5
+
+
 def test_the_old_name_of_contexts_still_works_and_says_the_new_one(start_command: Start) -> None:
     command = start_command("oracle", "--skill", "reaching:make", "--balls", "12", "--json")
     result = command.result()

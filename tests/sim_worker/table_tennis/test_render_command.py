@@ -54,7 +54,7 @@ def test_a_stored_trial_is_played_again_to_the_bit(
     status, output, log = start_command(*words, "--environment", "hybrid", str(tmp_path / "a.png")).finish()
     told = " ".join(log.split())
     assert (status, output) == (0, ""), log
-    assert f"trial {name}, played again in hybrid from the stored ball and goal: {result.info['reason']}" in told
+    assert f"trial {name}, played again from the stored state and goal in hybrid: {result.info['reason']}" in told
     assert "to the bit what was measured then" in told
     assert imread(tmp_path / "a.png").shape[:2] == (720, 1280)
     status, _, log = start_command(*words, "--environment", "contact", str(tmp_path / "b.png")).finish()
@@ -92,10 +92,10 @@ def test_what_the_log_does_not_have_is_said(
     assert (status, "states of 6 and goals of 13" in log) == (1, True), log
 
 
-@pytest.mark.parametrize("extra", [("--seed", "3"), ("--ball", "1"), ("--launcher", "wide")])
-def test_a_stored_trial_has_its_own_ball(start_command: Any, tmp_path: Path, extra: tuple[str, str]) -> None:
+@pytest.mark.parametrize("extra", [("--seed", "3"), ("--context", "1"), ("--launcher", "wide")])
+def test_a_stored_trial_has_its_own_context(start_command: Any, tmp_path: Path, extra: tuple[str, str]) -> None:
     status, _, log = start_command("render", "--trial", str(uuid4()), *extra, str(tmp_path / "a.png")).finish()
-    assert (status, "own ball" in log) == (2, True), log
+    assert (status, "own context" in log) == (2, True), log
 
 
 def test_a_picture_cannot_be_slow(start_command: Any, tmp_path: Path) -> None:
@@ -115,9 +115,44 @@ def test_a_picture_that_is_there_is_replaced_only_where_that_was_asked_for(start
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
-def test_another_skill_cannot_be_drawn(start_command: Any, tmp_path: Path) -> None:
-    status, _, log = start_command("render", "--skill", "reaching:make", str(tmp_path / "a.png")).finish()
-    assert (status, "draws table tennis" in log) == (1, True), log
+@pytest.mark.parametrize("name", ["throw", "table-tennis"])
+def test_the_plan_of_a_shipped_skill_is_drawn(start_command: Any, tmp_path: Path, name: str) -> None:
+    words = ("render", "--skill", name, "--environment", "analytic", "--context", "2", str(tmp_path / "a.png"))
+    status, _, log = start_command(*words).finish()
+    assert (status, "context 2 of seed 0, " in " ".join(log.split())) == (0, True), log
+    assert imread(tmp_path / "a.png").shape[:2] == (720, 1280)
+
+
+def _reaching(client: Client, name: str) -> str:
+    """Name of a task of R^2 to R^2 with one trial."""
+    axes = [{"name": axis, "low": -1, "high": 1} for axis in "xy"]
+    goals = [axis | {"scale": 0.2} for axis in axes]
+    task = client.create_task(TaskSpec.from_dict({"name": name, "state": axes, "goal": goals}))
+    task.report(state=[0.1, 0.2], goal=[0.1, 0.2], cost=0.1, success=True)
+    return name
+
+
+def test_a_skill_that_tells_no_plan_is_drawn_for_a_task_only(
+    client: Client, shared_endpoint: str, start_command: Any, tmp_path: Path
+) -> None:
+    words = ("render", "--skill", "reaching:make", str(tmp_path / "a.png"))
+    status, _, log = start_command(*words).finish()
+    told = " ".join(log.split())
+    assert (status, "tells no plan of its own (a method `plan`); name a task" in told) == (1, True), log
+    of_task = ("--task", _reaching(client, "drawn"), "--connect", shared_endpoint)
+    assert start_command(*words, *of_task).finish()[0] == 0
+    assert imread(tmp_path / "a.png").shape[:2] == (720, 1280)
+    status, _, log = start_command(*words, *of_task, "--overwrite", "--trial", str(uuid4())).finish()
+    assert (status, "cannot put a stored state (a method `restore`)" in " ".join(log.split())) == (1, True), log
+
+
+def test_a_skill_without_shapes_cannot_be_drawn(
+    client: Client, shared_endpoint: str, start_command: Any, tmp_path: Path
+) -> None:
+    name = _reaching(client, "drawn-bare")
+    words = ("render", "--skill", "reaching:make_bare", "--task", name, "--connect", shared_endpoint)
+    status, _, log = start_command(*words, str(tmp_path / "a.png")).finish()
+    assert (status, "Bare has no shapes (a method `scene`)" in log) == (1, True), log
 
 
 def test_without_the_library_for_films_one_line_says_what_to_install(tmp_path: Path) -> None:

@@ -128,17 +128,18 @@ def policy(
     from crkr.client.cli.progress import Progress
     from crkr.experiments.learning.run import Course, trained_learner
     from crkr.sim_worker.guarded_skill import GuardedSkill
+    from crkr.sim_worker.pictures.policy_figure import draw_policy, varied
     from crkr.sim_worker.skill import SkillOptions
     from crkr.sim_worker.skill_registry import load_skill
-    from crkr.sim_worker.table_tennis.pictures.policy_figure import draw_policy, varied
 
     path = _file(out, "policy.png", overwrite)
-    skill = GuardedSkill(load_skill("table-tennis", SkillOptions(environment=environment, preset=preset)))
+    player = load_skill("table-tennis", SkillOptions(environment=environment, preset=preset))
+    skill = GuardedSkill(player)
     with Progress(stderr, "learning", trials, "trials") as progress:
         learner = trained_learner(skill, Course(trials, 0, _JUDGE, _DEMONSTRATIONS), seed, progress.show)
     index, states = varied(learner.spec, vary, 31, None)
     answer = learner.predict(states)
-    draw_policy(learner.spec, index, states, answer.goals, answer.novelty, path)
+    draw_policy(learner.spec, index, answer, player, path)
     stderr.print(f"{out / 'policy.png'}: after {trials} trials")
 
 

@@ -27,7 +27,7 @@ def learning(
     trials: Annotated[int, typer.Option(min=1, max=1_000_000, help="Training trials of a run.")] = 1500,
     balls: Annotated[int, typer.Option(min=1, max=1_000_000, help="Fresh contexts to evaluate each run on.")] = 1000,
     judge: Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Seed of these contexts.")] = 777,
-    demonstrations: Annotated[int, typer.Option(min=1, max=10_000, help="Demonstrations before the first trial.")] = 5,
+    demonstrations: Annotated[int, typer.Option(min=0, max=10_000, help="Demonstrations before the first trial.")] = 5,
     launcher: Annotated[str | None, typer.Option(help="Where contexts come from, e.g. nominal.")] = None,
     environment: Annotated[str | None, typer.Option(help="Which simulator, e.g. contact.")] = None,
     preset: Annotated[str | None, typer.Option(help="Which settings, e.g. tuned.")] = None,

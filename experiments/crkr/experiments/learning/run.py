@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from hashlib import sha256
 from typing import Any, Final, final
@@ -13,9 +13,9 @@ import numpy as np
 
 from crkr.client.tally import Tally, success_by_criterion
 from crkr.learner import Learner
-from crkr.protocol import TaskSpec, training_id
+from crkr.protocol import Invalid, NoSamples, TaskSpec, training_id
 from crkr.sim_worker.randomness import demonstration_rng, evaluation_rng, fresh_rng, training_rng
-from crkr.sim_worker.skill import Skill, SkillWithDemonstrations
+from crkr.sim_worker.skill import Demonstration, HasDemonstrations, Skill, judged_state
 
 __all__ = ["MARKS", "Course", "LearningRun", "Score", "learn_once", "trained_learner"]
 
@@ -100,7 +100,7 @@ class LearningRun:
         return {**shallow, "final": self.final.to_dict(), "curve": [score.to_dict() for score in self.curve]}
 
 
-def learn_once(skill: SkillWithDemonstrations, course: Course, seed: int) -> LearningRun:
+def learn_once(skill: Skill, course: Course, seed: int) -> LearningRun:
     """Learn by the skill's specification and evaluate the result; the same arguments give the same bits."""
     training, curve, digest = Counter[str](), list[Score](), sha256()
     filled: int | None = None
@@ -110,16 +110,15 @@ def learn_once(skill: SkillWithDemonstrations, course: Course, seed: int) -> Lea
         if filled is None and learner.eligible > learner.spec.budget:
             filled = trial
         if course.marks and (trial in course.marks or trial == course.trials):
-            curve.append(_judge(skill, learner, trial, course.watched, lambda ball: evaluation_rng(seed, ball)))
+            score = _judge(skill, learner, trial, course.watched, lambda context: evaluation_rng(seed, context))
+            curve.extend([score] if score.contexts else [])
 
     learner = _trained_learner(skill, course, seed, training, digest.update, watch)
-    final = _judge(skill, learner, course.trials, course.contexts, lambda ball: fresh_rng(course.judge, ball))
+    final = _judge(skill, learner, course.trials, course.contexts, lambda context: fresh_rng(course.judge, context))
     return LearningRun(seed, final, tuple(curve), dict(training.most_common()), filled, digest.hexdigest())
 
 
-def trained_learner(
-    skill: SkillWithDemonstrations, course: Course, seed: int, show: Callable[[int], object]
-) -> Learner:
+def trained_learner(skill: Skill, course: Course, seed: int, show: Callable[[int], object]) -> Learner:
     """The learner of such a run, before its evaluation; `show` is called with the number of trials done."""
     return _trained_learner(skill, course, seed, Counter(), _ignore, lambda _, trial: show(trial))
 
@@ -129,7 +128,7 @@ def _ignore(_: bytes) -> None:
 
 
 def _trained_learner(
-    skill: SkillWithDemonstrations,
+    skill: Skill,
     course: Course,
     seed: int,
     training: Counter[str],
@@ -137,7 +136,7 @@ def _trained_learner(
     watch: Callable[[Learner, int], object],
 ) -> Learner:
     learner = Learner(TaskSpec.from_dict({**skill.spec().to_dict(), "seed": seed, **dict(course.settings)}))
-    for shown in skill.demonstrations(course.demonstrations, demonstration_rng(seed)):
+    for shown in _demonstrations(skill, course.demonstrations, seed):
         learner.report(
             state=shown.state, goal=shown.goal, cost=shown.result.cost, success=True, kind="demonstration",
             outcome=shown.result.outcome,
@@ -150,6 +149,19 @@ def _trained_learner(
         training[_execute_trial(skill, learner, rng, trial_id, digest)] += 1
     watch(learner, course.trials)
     return learner
+
+
+def _demonstrations(skill: Skill, count: int, seed: int) -> Sequence[Demonstration]:
+    """Those that a run starts from.
+
+    Raises:
+        Invalid: Some are wanted, and the skill has none.
+    """
+    if not count:
+        return ()
+    if not isinstance(skill, HasDemonstrations):
+        raise Invalid(f"{type(skill).__name__} has no demonstrations (a method `demonstrations`); ask for 0")
+    return skill.demonstrations(count, demonstration_rng(seed))
 
 
 def _execute_trial(
@@ -169,10 +181,14 @@ def _execute_trial(
 def _judge(
     skill: Skill, learner: Learner, trials: int, contexts: int, rng: Callable[[int], np.random.Generator]
 ) -> Score:
-    goals = learner.predict(np.array([skill.reset(rng(ball)) for ball in range(contexts)])).goals
+    states = np.array([judged_state(skill, context, rng(context)) for context in range(contexts)])
+    try:
+        goals = learner.predict(states).goals
+    except NoSamples:  # without demonstrations there is no policy at first
+        return Score(trials, Tally(), {"no policy": contexts})
     tally, reasons = Tally(), Counter[str]()
-    for ball, goal in enumerate(goals):
-        skill.reset(rng(ball))
+    for context, goal in enumerate(goals):
+        judged_state(skill, context, rng(context))
         result = skill.execute(goal)
         tally.add(success_by_criterion(result.success, result.info))
         reasons[str(result.info.get("reason", "success" if result.success else "failure"))] += 1

@@ -37,7 +37,7 @@ def demo(
     stay: Annotated[bool, typer.Option("--stay", help="Keep server and viewer until Enter or Ctrl-C.")] = False,
     json: Json = False,
 ) -> None:
-    """Watch a robot learn table tennis, from five demonstrations, on this machine.
+    """Watch a robot learn a skill, table tennis unless another is named, on this machine.
 
     Starts a server, workers and a dashboard, judges the policy on 50 fixed
     contexts after every 50 trials, and ends with a summary, a learning curve
@@ -45,6 +45,7 @@ def demo(
     resumes the run.
 
     Example: crkr demo --trials 1500 --seed 3
+    Example: crkr demo --skill throw --trials 300
     """
     from crkr.client.cli.progress import Progress
     from crkr.sim_worker.demo.session import run_demo

@@ -14,7 +14,7 @@ __all__ = ["oracle"]
 
 
 def oracle(
-    launcher: Annotated[str, typer.Option(help="Where contexts come from: nominal, medium or wide.")] = "nominal",
+    launcher: Annotated[str | None, typer.Option(help="Where contexts come from, e.g. nominal.")] = None,
     contexts: Annotated[int, typer.Option(min=1, max=1_000_000, help="Number of contexts.")] = 1000,
     balls: OldContexts = None,
     seed: Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Of the contexts, as for crkr evaluate.")] = 0,
@@ -32,10 +32,12 @@ def oracle(
     """
     from crkr.client.cli.progress import Progress
     from crkr.sim_worker.evaluation.assessment import play_oracle
-    from crkr.sim_worker.skill import SkillOptions
+    from crkr.sim_worker.skill import SkillOptions, options_in_force
+    from crkr.sim_worker.skill_registry import load_skill
 
     contexts = balls or contexts
     options = SkillOptions(environment=environment, launcher=launcher)
+    chosen = options_in_force(load_skill(skill, options), options)
     with Progress(stderr, "planning", contexts, "contexts") as progress:
         won = play_oracle(skill, options, contexts, seed, jobs=jobs, show=progress.show)
     result = {
@@ -44,12 +46,12 @@ def oracle(
         "contexts": contexts,
         "balls": contexts,  # the old name, for one release
         "seed": seed,
-        "launcher": launcher,
-        "environment": environment,
+        "launcher": chosen.launcher,
+        "environment": chosen.environment,
     }
     if json:
         print_json(result)
         return
-    stdout.print(f"{skill}, launcher {launcher}: {contexts} contexts, seed {seed}")
+    stdout.print(", ".join([skill, *filter(None, [chosen.launcher])]) + f": {contexts} contexts, seed {seed}")
     for name, (low, high) in won.intervals().items():
         stdout.print(f"  {name:<10} {won.rate(name):.1%}  (95 %: {low:.1%} to {high:.1%})")

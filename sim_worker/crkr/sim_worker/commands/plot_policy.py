@@ -1,4 +1,4 @@
-"""`crkr plot policy`: a table tennis policy in Cartesian space."""
+"""`crkr plot policy`: what a policy answers as one coordinate of the state varies."""
 
 from __future__ import annotations
 
@@ -14,8 +14,12 @@ __all__ = ["policy"]
 
 
 def policy(
-    task: Annotated[str, typer.Argument(help="Name of a task of table tennis.")],
+    task: Annotated[str, typer.Argument(help="Name of the task.")],
     vary: Annotated[str, typer.Option(help="State coordinate to vary, e.g. ball_y.")],
+    skill: Annotated[
+        str | None,
+        typer.Option(help="Skill that draws its goals, or package.module:factory; the task's own unless given."),
+    ] = None,
     out: Annotated[Path, typer.Option(dir_okay=False, help="A .png, .svg or .pdf.")] = Path("policy.png"),
     state: Annotated[str | None, typer.Option(help="The other coordinates, in quotes; mid-range unless given.")] = None,
     overwrite: Overwrite = False,
@@ -24,22 +28,26 @@ def policy(
     timeout: Timeout = 5.0,
     zenoh_config: ZenohConfig = None,
 ) -> None:
-    """Draw a task's policy in Cartesian space while one coordinate varies.
+    """Draw what a task's policy answers while one coordinate of the state varies.
 
-    Shows where and when the paddle meets the ball, how fast it moves, which
-    way it faces, and how novel the state is to the model.
+    A skill that can shows what the goals mean: where the paddle meets the
+    ball, how the ball is thrown. Otherwise each coordinate of the goal is a
+    curve. Below: how novel the states are, and the probability of success.
 
     Example: crkr plot policy table-tennis --vary ball_y --out policy.png
     """
     from crkr.client import Client
     from crkr.client.cli.options import parse_vector
     from crkr.sim_worker.figure import check_figure
-    from crkr.sim_worker.table_tennis.pictures.policy_figure import draw_policy, varied
+    from crkr.sim_worker.pictures.policy_figure import draw_policy, varied
+    from crkr.sim_worker.skill import SkillOptions
+    from crkr.sim_worker.skill_registry import load_skill, skill_of
 
     check_figure(out, overwrite=overwrite)
     with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
         asked = client.task(task)
         index, states = varied(asked.spec, vary, points, None if state is None else parse_vector(state, "--state"))
         answer = asked.predict(states)
-    draw_policy(asked.spec, index, states, answer.goals, answer.novelty, out)
+    name = skill or skill_of(asked.spec)
+    draw_policy(asked.spec, index, answer, None if name is None else load_skill(name, SkillOptions()), out)
     stderr.print(f"{out}: {points} values of {vary}, model version {answer.model_version}")

@@ -16,7 +16,7 @@ from crkr.protocol import MAX_STATES, Invalid, Prediction, Trial, task_id
 from crkr.sim_worker.evaluation.contexts import COST_OF_NOTHING
 from crkr.sim_worker.guarded_skill import GuardedSkill, guarded_plan
 from crkr.sim_worker.randomness import fresh_rng
-from crkr.sim_worker.skill import Floats, HasPlanner, Skill, SkillOptions, TrialResult
+from crkr.sim_worker.skill import Floats, HasPlanner, Skill, SkillOptions, TrialResult, judged_state
 from crkr.sim_worker.skill_registry import load_skill
 from crkr.sim_worker.supervisor.pool import spread
 
@@ -86,7 +86,7 @@ def ask(task: Task, skill: Skill, contexts: int, seed: int) -> list[Prediction]:
             f"the skill maps R^{len(mine.state)} to R^{len(mine.goal)}, but task {task.name!r} maps "
             f"R^{len(theirs.state)} to R^{len(theirs.goal)}; name its skill with --skill"
         )
-    states = np.array([skill.reset(fresh_rng(seed, context)) for context in range(contexts)])
+    states = np.array([judged_state(skill, context, fresh_rng(seed, context)) for context in range(contexts)])
     return [task.predict(states[start : start + MAX_STATES]) for start in range(0, contexts, MAX_STATES)]
 
 
@@ -130,7 +130,7 @@ def _play_part(skill: Skill, part: _Part) -> list[PlayedContext]:
     player = GuardedSkill(skill)
     played = []
     for context, goal in enumerate(part.goals, part.start):
-        state = player.reset(fresh_rng(part.seed, context))
+        state = judged_state(player, context, fresh_rng(part.seed, context))
         result = player.execute(goal)
         best = None if planner is None else guarded_plan(planner, state)
         bare = replace(result, info=dict(result.info), trace=None)
@@ -208,4 +208,4 @@ def _plan(skill: Skill, part: tuple[int, range]) -> list[dict[str, bool]]:
         raise Invalid("the skill has no planner of its own")
     seed, contexts = part
     player = GuardedSkill(skill)
-    return [guarded_plan(skill, player.reset(fresh_rng(seed, context))) for context in contexts]
+    return [guarded_plan(skill, judged_state(player, context, fresh_rng(seed, context))) for context in contexts]

@@ -10,7 +10,7 @@ from crkr.client import Task
 from crkr.client.tally import Tally, success_by_criterion
 from crkr.protocol import Prediction, Trial, evaluation_id
 from crkr.sim_worker.randomness import evaluation_rng
-from crkr.sim_worker.skill import Floats, Skill, TrialResult
+from crkr.sim_worker.skill import Floats, Skill, TrialResult, judged_state
 
 __all__ = ["COST_OF_NOTHING", "EPOCH", "EpochEvaluation", "FixedContexts"]
 
@@ -34,11 +34,13 @@ class FixedContexts:
     def __init__(self, skill: Skill, seed: int, count: int) -> None:
         self._skill = skill
         self._seed = seed
-        self.states: Floats = np.array([skill.reset(evaluation_rng(seed, context)) for context in range(count)])
+        self.states: Floats = np.array(
+            [judged_state(skill, context, evaluation_rng(seed, context)) for context in range(count)]
+        )
 
     def execute(self, context: int, goal: Floats) -> TrialResult:
         """Tries a goal (p,) in context number `context`."""
-        self._skill.reset(evaluation_rng(self._seed, context))
+        judged_state(self._skill, context, evaluation_rng(self._seed, context))
         return self._skill.execute(goal)
 
 

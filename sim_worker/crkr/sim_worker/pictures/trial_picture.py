@@ -1,29 +1,24 @@
-"""A picture or a film of one trial: planned, proposed by a policy, or stored and played again."""
+"""A picture or a film of one trial of any skill that offers shapes and motion."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Final
-from uuid import UUID
 
 import numpy as np
 from numpy.typing import NDArray
 
-from crkr.client import Task
+from crkr.client.cli.output_file import output_file
 from crkr.protocol import Invalid, Trial
-from crkr.sim_worker.pictures.film import FILMS, save_film
-from crkr.sim_worker.pictures.renderer import SceneRenderer, save_picture, save_sequence
-from crkr.sim_worker.randomness import fresh_rng
-from crkr.sim_worker.skill import TrialResult
-from crkr.sim_worker.table_tennis.scene import make_simulation
-from crkr.sim_worker.table_tennis.table_tennis import TableTennis
+from crkr.sim_worker.pictures.film import FILMS, Picture, save_film
+from crkr.sim_worker.pictures.renderer import SceneRenderer
+from crkr.sim_worker.skill import Film, HasFilm, HasScene, Skill, TrialResult
 
-__all__ = ["check_kind", "compared", "planned", "render_trial", "stored_trial"]
+__all__ = ["check_kind", "compared", "render_trial"]
 
 Floats = NDArray[np.float64]
 
-SHAPE: Final = (6, 13)  # numbers of a state and of a goal of table tennis
-PICTURE_INTERVAL: Final = 0.01  # between points of the ball's path in a picture [s]
+PICTURE_INTERVAL: Final = 0.01  # between points of a path in a picture [s]
 RATE: Final = 25  # frames a second: a GIF, which counts in hundredths of a second, can keep it
 
 
@@ -39,22 +34,8 @@ def check_kind(path: Path, *, sequence: bool = False, slow: float = 1.0) -> None
         raise Invalid(f"there is no folder {path.parent}; make it first")
 
 
-def planned(skill: TableTennis, seed: int, ball: int) -> tuple[Floats, Floats]:
-    """State (6,) and the planner's goal (13,) for one ball of an evaluation.
-
-    Raises:
-        Invalid: The planner cannot return it.
-    """
-    state = skill.reset(fresh_rng(seed, ball))
-    plan = skill.plan(state)
-    if plan is None:
-        raise Invalid(f"the planner cannot return ball {ball} of seed {seed}; choose another")
-    return state, plan[0]
-
-
 def render_trial(
-    skill: TableTennis,
-    state: Floats,
+    skill: Skill,
     goal: Floats,
     path: Path,
     *,
@@ -63,12 +44,11 @@ def render_trial(
     sequence: bool = False,
     slow: float = 1.0,
 ) -> TrialResult:
-    """Plays a goal against a ball, draws it and saves what was drawn.
+    """Executes a goal in the situation of the last `reset` or `restore`, draws it and saves what was drawn.
 
     Args:
-        skill: Plays, in the environment that it was made with.
-        state: (6,) the ball at the snapshot.
-        goal: (13,) to try.
+        skill: Executes.
+        goal: (p,) to try.
         path: A .png for one picture of several moments, a .mp4 or .gif for a film.
         width: [pixels].
         height: [pixels]; of each moment in a sequence.
@@ -79,49 +59,87 @@ def render_trial(
         What the trial gave.
 
     Raises:
-        Invalid: Another suffix, what files of that suffix cannot show, no such folder, or a goal that is refused.
+        Invalid: Another suffix, what files of that suffix cannot show, no such folder, a goal that is refused, or a
+            skill that has nothing to draw.
         Unsupported: This machine cannot render.
         ModuleNotFoundError: PyAV is not installed, for an .mp4.
     """
     check_kind(path, sequence=sequence, slow=slow)
-    motion = skill.film(state, goal, PICTURE_INTERVAL if path.suffix == ".png" else 1 / (RATE * slow))
-    outcome = skill.attempt(state, goal)
-    if motion is None:
-        raise Invalid(f"nothing to draw, as nothing moved: the goal is refused ({outcome.info['reason']})")
-    with SceneRenderer(make_simulation(), width, height) as artist:
-        if sequence:
-            save_sequence(artist, motion, path)
-        elif path.suffix == ".png":
-            save_picture(artist, motion, path)
+    if not isinstance(skill, HasScene):
+        raise Invalid(f"nothing to draw: {type(skill).__name__} has no shapes (a method `scene`)")
+    interval = PICTURE_INTERVAL if path.suffix == ".png" else 1 / (RATE * slow)
+    result = skill.execute(goal)
+    if not result.executed:
+        reason = result.info.get("reason", "failed")
+        raise Invalid(f"nothing to draw, as nothing moved: the goal is refused ({reason})")
+    film = _film(skill, goal, result, interval)
+    with SceneRenderer(skill.scene(), film, width, height) as artist:
+        if path.suffix == ".png":
+            _save_picture(_strip(artist, film) if sequence else _exposure(artist, film), path)
         else:
-            save_film(artist.frames(motion), path, RATE)
-    return outcome
+            save_film(artist.frames(), path, RATE)
+    return result
 
 
-def stored_trial(task: Task, trial_id: UUID) -> Trial:
-    """The trial of that id in the log of a task of table tennis.
+def _film(skill: Skill, goal: Floats, result: TrialResult, interval: float) -> Film:
+    """The motion: as the skill films it, else that of the trial's trace, at the rate that the trace has."""
+    film = skill.film(goal, interval) if isinstance(skill, HasFilm) else None
+    if film is None and result.trace is not None:
+        film = Film(result.trace)
+    if film is None:
+        raise Invalid(f"nothing to draw: trials of {type(skill).__name__} have no motion (`TrialResult.trace`)")
+    return film
 
-    Raises:
-        Invalid: The task has other states or goals, or no such trial.
-    """
-    shape = len(task.spec.state), len(task.spec.goal)
-    if shape != SHAPE:
-        raise Invalid(f"table tennis has states of {SHAPE[0]} and goals of {SHAPE[1]}; task {task.name!r} has {shape}")
-    for stored in task.iter_samples():
-        if stored.trial.id == trial_id:
-            return stored.trial
-    raise Invalid(f"task {task.name!r} has no trial {trial_id}; crkr explain and the dashboard show ids")
+
+def _exposure(artist: SceneRenderer, film: Film) -> Picture:
+    """Six moments in one picture, solid at the one that matters and see-through at the others."""
+    rows = _moments(film)
+    return artist.exposure(rows, solid=rows[3])
+
+
+def _strip(artist: SceneRenderer, film: Film) -> Picture:
+    """Six moments side by side in two rows, numbered and with their times."""
+    frames = [
+        _captioned(artist.frame(row), f"{index + 1}   {film.trace.time[row]:.2f} s")
+        for index, row in enumerate(_moments(film))
+    ]
+    return np.vstack([np.hstack(frames[:3]), np.hstack(frames[3:])])
+
+
+def _save_picture(picture: Picture, path: Path) -> None:
+    from PIL import Image
+
+    with output_file(path) as partial:
+        Image.fromarray(picture).save(partial)
+
+
+def _moments(film: Film) -> list[int]:
+    """Rows of the start, two before the moment that matters, that moment, one after it, and the end."""
+    end = float(film.trace.time[-1])
+    moment = 0.6 * end if film.moment is None else film.moment
+    times = (0.0, 0.5 * moment, 0.85 * moment, moment, 0.5 * (moment + end), end)
+    return [int(np.abs(film.trace.time - time).argmin()) for time in times]
+
+
+def _captioned(picture: Picture, text: str) -> Picture:
+    from PIL import Image, ImageDraw, ImageFont
+
+    image = Image.fromarray(picture)
+    size = picture.shape[0] / 16
+    ImageDraw.Draw(image).text((size / 2, size / 2), text, fill=(20, 30, 40), font=ImageFont.load_default(size))
+    return np.asarray(image)
 
 
 def compared(trial: Trial, again: TrialResult) -> str:
-    """Says whether playing a trial again gave what was measured the first time."""
-    reason, cost = again.info["reason"], again.cost
+    """Says whether executing a trial again gave what was measured the first time."""
+    reason = again.info.get("reason", "success" if again.success else "failure")
+    told_now = "no cost" if again.cost is None else f"cost {again.cost:.4f}"
     if _same(trial, again):
-        return f"{reason}, cost {cost:.4f}: to the bit what was measured then"
+        return f"{reason}, {told_now}: to the bit what was measured then"
     before = trial.info.get("reason", "no reason")
     told = "no cost" if trial.cost is None else f"cost {trial.cost:.4f}"
     return (
-        f"{reason}, cost {cost:.4f}; the log says {before}, {told}: environment or skill differ "
+        f"{reason}, {told_now}; the log says {before}, {told}: environment or skill differ "
         "(see --environment and --skill)"
     )
 

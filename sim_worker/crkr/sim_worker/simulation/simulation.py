@@ -91,6 +91,24 @@ class Simulation:
         state[BALL_ROTATION] = (1.0, 0.0, 0.0, 0.0)
         return state
 
+    def start_held(self, joints: Floats, site: str) -> Floats:
+        """Full physics state (26,): arm at rest at `joints` (6,), the ball at rest in a site of its tool."""
+        model, data = self.model, self._data
+        mujoco.mj_resetData(model, data)
+        data.qpos[:JOINTS] = joints
+        mujoco.mj_kinematics(model, data)
+        state = self.start(joints, np.concatenate([data.site(site).xpos, np.zeros(3)]))
+        state[BALL_ROTATION] = data.xquat[model.site(site).bodyid[0]]
+        return state
+
+    def place(self, body: str, position: Floats) -> None:
+        """Has a body that only stands, a mocap body of the scene, stand at `position` (3,) [m] from now on."""
+        place(self.model, self._data, body, position)
+
+    def activate(self, constraint: str, *, on: bool) -> None:
+        """Has an equality constraint of the scene hold, or not, in runs from now on."""
+        self.model.eq_active0[self.model.equality(constraint).id] = on
+
     def run(self, start: Floats, controls: Floats) -> Recording:
         """Simulates n steps.
 
@@ -171,6 +189,10 @@ class BallAlone:
         self._rollout = Rollout(nthread=0)
         self.timestep = float(self.model.opt.timestep)
 
+    def place(self, body: str, position: Floats) -> None:
+        """Has a body that only stands, a mocap body of the scene, stand at `position` (3,) [m] from now on."""
+        place(self.model, self._data, body, position)
+
     def path(self, ball: Floats, duration: float, spin: Floats | None = None) -> Floats:
         """Position [m], velocity [m/s] and spin [rad/s] (n + 1, 9), scene's frame, every timestep from `ball` (6,) on.
 
@@ -183,6 +205,12 @@ class BallAlone:
         full = np.concatenate([start[None], states[0]])
         turning = rotated(full[:, 4:8], full[:, 11:14])  # MuJoCo's is in the ball's frame
         return np.concatenate([full[:, 1:4], full[:, 8:11], turning], axis=1)
+
+
+def place(model: Any, data: Any, body: str, position: Floats) -> None:
+    """Moves a mocap body [m], in what runs start from and in the present data."""
+    model.body(body).pos = position
+    data.mocap_pos[model.body(body).mocapid[0]] = position
 
 
 def check_sound(data: Any, last: Floats) -> None:

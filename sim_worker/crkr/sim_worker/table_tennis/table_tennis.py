@@ -16,17 +16,17 @@ from crkr.sim_worker.arm.dynamics import ACCELERATION_LIMITS, SPEED_LIMITS
 from crkr.sim_worker.primitives.joint_motion import spare_time
 from crkr.sim_worker.primitives.profiles import demonstrated_profile, wind_up
 from crkr.sim_worker.primitives.stroke import Infeasible, JointLimits, JointTrajectory, Primitive
+from crkr.sim_worker.simulation.motion import trace
 from crkr.sim_worker.simulation.simulation import Diverged
-from crkr.sim_worker.skill import Demonstration, SkillOptions, TrialResult
+from crkr.sim_worker.skill import Demonstration, Film, SkillOptions, TrialResult
 from crkr.sim_worker.table_tennis.ball.constants import FACE_OFFSET
 from crkr.sim_worker.table_tennis.ball.launchers import LAUNCHERS, Launcher
 from crkr.sim_worker.table_tennis.environments.environments import ENVIRONMENTS, make_environment, make_predictor
 from crkr.sim_worker.table_tennis.environments.play import Play
-from crkr.sim_worker.table_tennis.pictures.trace import Motion, motion, trace
 from crkr.sim_worker.table_tennis.planner import HOME, Planner, Predictor
 from crkr.sim_worker.table_tennis.scene import make_arm, make_check, make_simulation
 from crkr.sim_worker.table_tennis.spec import task_spec
-from crkr.sim_worker.table_tennis.tracker import judge
+from crkr.sim_worker.table_tennis.tracker import judge, motion
 
 __all__ = ["ENVIRONMENTS", "TableTennis"]
 
@@ -119,9 +119,7 @@ class TableTennis:
         Raises:
             Invalid: There was no `reset` before.
         """
-        if self._ball is None:
-            raise Invalid("execute needs a ball; call reset first")
-        return self.attempt(self._ball, goal)
+        return self.attempt(self._checked_ball, goal)
 
     def attempt(self, ball: Floats, goal: Floats) -> TrialResult:
         """As `execute`, for any ball (6,)."""
@@ -141,13 +139,24 @@ class TableTennis:
             trace=trace(self._simulation, motion(swing, play, verdict)) if self._traces else None,
         )
 
-    def film(self, ball: Floats, goal: Floats, interval: float) -> Motion | None:
-        """The motion of `attempt`, in steps of at most `interval` [s], for drawing; None where the goal is refused."""
+    def restore(self, state: Floats) -> None:
+        """Has the ball of a state (6,) come next."""
+        self._ball = np.array(state, dtype=np.float64)
+
+    def film(self, goal: Floats, interval: float) -> Film | None:
+        """The motion of `execute`, in steps of at most `interval` [s], for drawing; None where the goal is refused."""
         try:
-            swing, play = self._play(ball, goal)
+            swing, play = self._play(self._checked_ball, goal)
         except _RefusedGoal:
             return None
-        return motion(swing, play, judge(play), interval)
+        return Film(trace(self._simulation, motion(swing, play, judge(play), interval)), play.hit_time)
+
+    def draw_policy(self, figure: Any, states: Floats, goals: Floats, index: int) -> None:
+        """Draws where and how the paddle of goals (n, 13) would meet the ball as one coordinate of the state varies."""
+        from crkr.sim_worker.table_tennis.policy_figure import draw_hits  # workers need no Matplotlib
+
+        axis = self._spec.state[index]
+        draw_hits(figure, self._arm, f"{axis.name} [{axis.unit}]", states[:, index], goals)
 
     def demonstrations(self, count: int, rng: np.random.Generator) -> Sequence[Demonstration]:
         """Plans successful returns for the launcher's next balls; balls that it cannot return are skipped."""
@@ -196,6 +205,12 @@ class TableTennis:
         self._primitive = Primitive(self._primitive.limits, wind_up(speeds, hit_time))
         _, play = self._play(ball, plan[0])
         return demonstrated_profile(play.time, play.joints, play.hit_time)
+
+    @property
+    def _checked_ball(self) -> Floats:
+        if self._ball is None:
+            raise Invalid("execute needs a ball; call reset first")
+        return self._ball
 
     def scene(self) -> Sequence[Geom]:
         """Table, net, floor, pedestal, arm, paddle and ball."""

@@ -1,4 +1,4 @@
-"""The game-state tracker: cost, outcome, success and reason of a play."""
+"""The game-state tracker: cost, outcome, success and reason of a play, and its motion up to where it was decided."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from typing import Final, final
 import numpy as np
 from numpy.typing import NDArray
 
+from crkr.sim_worker.primitives.joint_motion import JointTrajectory
+from crkr.sim_worker.simulation.motion import INTERVAL, Motion, interpolated
 from crkr.sim_worker.table_tennis.ball.constants import (
     AIM,
     BALL_RADIUS,
@@ -18,10 +20,10 @@ from crkr.sim_worker.table_tennis.ball.constants import (
     TABLE_HALF_WIDTH,
     TABLE_HEIGHT,
 )
-from crkr.sim_worker.table_tennis.ball.flight import Ball, Curl, fly, fly_to_height, fly_to_x
+from crkr.sim_worker.table_tennis.ball.flight import AIR, Ball, Curl, fly_to_height, fly_to_x
 from crkr.sim_worker.table_tennis.environments.play import Play
 
-__all__ = ["COST_WIDTH", "OUTCOMES", "Verdict", "cost_of", "judge", "rally"]
+__all__ = ["COST_WIDTH", "OUTCOMES", "Verdict", "cost_of", "judge", "motion"]
 
 Floats = NDArray[np.float64]
 
@@ -72,15 +74,6 @@ def cost_of(distance: Floats | float) -> Floats | np.float64:
     return np.negative(np.expm1(-0.5 * (distance / COST_WIDTH) ** 2))
 
 
-def rally(ball: Ball, duration: float, interval: float, curl: Curl = None) -> tuple[Floats, Floats]:
-    """Times (n,) [s] and positions (n, 3) [m] of a free flight, for drawing."""
-    count = max(1, int(np.ceil(duration / interval)))
-    points = [ball]
-    for _ in range(count):
-        points.append(fly(points[-1], duration / count, curl))
-    return np.linspace(0.0, duration, count + 1), np.array([point[:3] for point in points])
-
-
 def _reason(play: Play, landing: tuple[float, Ball] | None) -> str:
     if not play.touched:
         return "miss"
@@ -105,3 +98,21 @@ def _clears_net(ball: Ball, curl: Curl) -> bool:
     if crossing is None:
         return False
     return bool(crossing[1].z > NET_TOP + BALL_RADIUS or abs(crossing[1].y) > NET_HALF_LENGTH + BALL_RADIUS)
+
+
+def motion(swing: JointTrajectory, play: Play, verdict: Verdict, interval: float = INTERVAL) -> Motion:
+    """The trial from the snapshot until the ball comes down, or as far as it was followed if it was not touched.
+
+    Up to `play.end` everything is as simulated; from then on the arm follows its swing and the ball flies freely.
+
+    Args:
+        swing: The executed swing.
+        play: What happened.
+        verdict: How it ended.
+        interval: Longest time between two rows [s].
+    """
+    time = np.arange(0.0, play.end, interval)
+    moved = Motion(time, interpolated(time, play.time, play.joints), interpolated(time, play.time, play.path))
+    if verdict.landing is None:
+        return moved
+    return moved.continued(swing, AIR.path(play.after, verdict.landing[0], interval, play.curl), play.end)

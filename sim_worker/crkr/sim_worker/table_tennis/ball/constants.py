@@ -10,6 +10,8 @@ from __future__ import annotations
 
 from typing import Final
 
+from crkr.sim_worker.simulation.flight import GRAVITY, drag_of
+
 __all__ = [
     "AIM",
     "BALL_MASS",
@@ -33,8 +35,6 @@ __all__ = [
     "TABLE_RESTITUTION",
 ]
 
-GRAVITY: Final = 9.81  # [m/s^2]
-
 TABLE_HALF_LENGTH: Final = 1.37  # [m]
 TABLE_HALF_WIDTH: Final = 0.7625  # [m]
 TABLE_HEIGHT: Final = 0.76  # [m]
@@ -46,7 +46,7 @@ NET_HALF_LENGTH: Final = 0.915  # [m]
 BALL_RADIUS: Final = 0.02  # [m]
 BALL_MASS: Final = 0.0027  # [kg]
 SPIN_INERTIA: Final = 2 / 3  # moment of inertia over m r^2: a thin shell
-DRAG: Final = 0.5 * 1.2 * 0.47 * 3.141592653589793 * BALL_RADIUS**2 / BALL_MASS  # air density, CD 0.47; [1/m]
+DRAG: Final = drag_of(BALL_RADIUS, BALL_MASS)  # [1/m]
 # Lift of a spinning ball, off unless asked for: a lift coefficient equal to the spin parameter r omega / v, which is of
 # the usual size and our choice. The acceleration is MAGNUS * spin x velocity.
 MAGNUS: Final = 0.5 * 1.2 * 3.141592653589793 * BALL_RADIUS**3 / BALL_MASS

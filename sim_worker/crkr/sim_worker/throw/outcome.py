@@ -1,0 +1,73 @@
+"""What is measured of a throw: where the ball passes wall and bin, what that costs, and why a throw failed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from crkr.sim_worker.simulation.flight import Ball
+from crkr.sim_worker.throw.layouts import AIR, BALL_RADIUS, OPENING, RIM, WALL_HALF_THICKNESS, Layout
+
+__all__ = ["COST_WIDTH", "Passage", "reason_of"]
+
+Floats = NDArray[np.float64]
+
+# In contact a ball whose middle comes down less than 1 cm inside the rim, or up to 1 cm outside, may go either way.
+CAUGHT: Final = OPENING - 0.01  # [m]
+COST_WIDTH: Final = 0.1  # [m]; a miss by the half opening then costs 0.68
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Passage:
+    """Where a ball would pass wall and bin with nothing in its way.
+
+    Attributes:
+        miss: (2,) its centre minus the bin's as it comes down to the rim, x and y [m]; NaN where it never does.
+        clearance: Least height of its lowest point over the wall's top edge [m], negative where it hits the wall; NaN
+            where it never comes there.
+        landing_time: When it comes down to the rim [s]; None where it never does.
+    """
+
+    miss: Floats
+    clearance: float
+    landing_time: float | None
+
+    @classmethod
+    def of(cls, ball: Ball, layout: Layout) -> Passage:
+        """That of a ball in free flight."""
+        landing = AIR.fly_to_height(ball, RIM)
+        faces = (layout.wall_x - WALL_HALF_THICKNESS, layout.wall_x + WALL_HALF_THICKNESS)
+        # Followed under the floor, so that a throw that falls short still tells by how much.
+        heights = [AIR.fly_to_x(ball, face, floor=-np.inf) for face in faces]
+        clearance = min(np.nan if at is None else at[1].z for at in heights) - BALL_RADIUS - layout.wall_height
+        miss = np.full(2, np.nan) if landing is None else np.array(landing[1][:2]) - layout.bin[:2]
+        return cls(miss, float(clearance), None if landing is None else landing[0])
+
+    @property
+    def is_clear(self) -> bool:
+        """Whether the ball passes over the wall and falls into the bin."""
+        return bool(self.clearance >= 0 and (np.abs(self.miss) <= CAUGHT).all())
+
+    @property
+    def cost(self) -> float:
+        """In [0, 1]: saturates with the miss and with what is lacking over the wall; 1 where neither is known."""
+        off = np.array([*self.miss, min(self.clearance, 0.0)])
+        return 1.0 if np.isnan(off).any() else float(-np.expm1(-0.5 * (off @ off) / COST_WIDTH**2))
+
+
+def reason_of(passage: Passage, inside: bool) -> str:
+    """How a throw ended: "in", or "wall", "short", "long", "beside", "rim" (over the opening, yet not in)."""
+    if inside:
+        return "in"
+    if not passage.clearance >= 0:
+        return "wall"
+    across, aside = passage.miss
+    if not max(abs(across), abs(aside)) > OPENING:
+        return "rim"
+    if abs(aside) > abs(across):
+        return "beside"
+    return "short" if across < 0 else "long"

@@ -34,7 +34,7 @@ LAYERS = {
         "protocol client",
         "numpy scipy mujoco gymnasium gymnasium_robotics ray pinocchio coal clarabel matplotlib PIL av typer rich",
     ),
-    "dashboard": _layer("protocol client", "numpy rerun typer rich"),
+    "dashboard": _layer("protocol client", "numpy rerun starlette typer rich uvicorn"),
     "experiments": _layer(
         "protocol learner client sim_worker", "numpy scipy matplotlib joblib sklearn zenoh typer rich"
     ),

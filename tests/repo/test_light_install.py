@@ -7,7 +7,7 @@ import sys
 import pytest
 
 HEAVY = ["PIL", "av", "clarabel", "coal", "joblib", "matplotlib", "mujoco", "pinocchio"]
-HEAVY += ["prometheus_client", "pyarrow", "rerun", "scipy", "sklearn"]
+HEAVY += ["prometheus_client", "pyarrow", "rerun", "scipy", "sklearn", "starlette", "uvicorn"]
 
 # The extras cannot be imported at all.
 FINDER = """
@@ -70,6 +70,7 @@ def test_the_client_and_the_command_work_without_the_extras() -> None:
         ("bench sim", "", "experiments"),
         ("experiment learning", "", "experiments"),
         ("export", "throw throw.parquet", "export"),
+        ("page", "--serve 8080", "web"),
         ("plot policy", "throw --vary x", "sim"),
         ("server", "--metrics 9464", "server"),
     ],

@@ -11,12 +11,12 @@ GONE_WITHIN_S = 60.0
 
 
 @contextmanager
-def shared_server(data: Path | str) -> Iterator[str]:
+def shared_server(data: Path | str, *options: str) -> Iterator[str]:
     """The endpoint of a server that may still be starting; clients wait for it."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
-    command = [sys.executable, "-m", "crkr.client", "server", "--listen", endpoint, "--data", str(data)]
+    command = [sys.executable, "-m", "crkr.client", "server", "--listen", endpoint, "--data", str(data), *options]
     with subprocess.Popen(command, stderr=subprocess.DEVNULL) as process:
         try:
             yield endpoint

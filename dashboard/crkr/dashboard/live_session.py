@@ -105,12 +105,16 @@ def wait_for_task(
     return None
 
 
-def follow(client: Client, task: Task, feed: Feed, tick_s: float, goes_on: Callable[[], bool]) -> None:
+def follow(
+    client: Client, task: Task, feed: Feed, tick_s: float, goes_on: Callable[[], bool], *, rest: float = 0.0
+) -> None:
     """Feed a display from the log and the publications, with a step every `tick_s` [s], while `goes_on`.
 
-    If a question is open at the end, the client is closed.
+    It begins where the feed has come to. If a question is open at the end, the client is closed. `rest` is as for
+    `Poller`.
     """
-    with task.subscribe() as subscription, Poller(task, client.close) as poller:
+    poller = Poller(task, client.close, after=feed.progress.seq, rest=rest)
+    with task.subscribe() as subscription, poller:
         while goes_on():
             deadline = time.monotonic() + tick_s
             for _ in range(MAX_BURST):

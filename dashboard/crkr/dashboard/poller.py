@@ -46,12 +46,16 @@ class Poller:
     Args:
         task: The task.
         interrupt: Ends an open question; called at the end if there is one.
+        after: Log position to read from.
+        rest: Pause after each page of a long log, as a multiple of the time that the page took. It leaves the server
+            time for others.
     """
 
-    def __init__(self, task: Task, interrupt: Callable[[], object]) -> None:
+    def __init__(self, task: Task, interrupt: Callable[[], object], *, after: int = 0, rest: float = 0.0) -> None:
         self._task = task
         self._interrupt = interrupt
-        self._after = 0
+        self._after = after
+        self._rest = rest
         self._stop = threading.Event()
         self._updates: queue.Queue[Update] = queue.Queue(maxsize=8)
         self._thread = threading.Thread(target=self._run, name="crkr-poller", daemon=True)
@@ -79,6 +83,7 @@ class Poller:
     def _run(self) -> None:
         next_status = 0.0
         while not self._stop.is_set():
+            begun = time.monotonic()
             try:
                 more = self._ask_trials()
                 if time.monotonic() >= next_status:
@@ -92,8 +97,7 @@ class Poller:
             except BaseException as error:  # whatever an answer holds, the thread asks again
                 self._put(Update(lost=Internal(f"an answer cannot be read: {type(error).__name__}: {error!s:.200}")))
                 more = False
-            if not more:
-                self._stop.wait(SAMPLES_EVERY_S)
+            self._stop.wait(self._rest * (time.monotonic() - begun) if more else SAMPLES_EVERY_S)
 
     def _ask_trials(self) -> bool:
         trials, following = self._task.samples(after=self._after, limit=PAGE)

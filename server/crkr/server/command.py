@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from crkr.server.log import TaskLog
     from crkr.server.metrics.endpoint import MetricsEndpoint
     from crkr.server.stderr_log import StderrLog
+    from crkr.server.web_process import WebProcess
 
 __all__ = ["server"]
 
@@ -46,6 +47,19 @@ def server(
         str | None,
         typer.Option(metavar="[HOST:]PORT", help="Serve Prometheus metrics by HTTP, on loopback unless told."),
     ] = None,
+    web: Annotated[
+        str | None,
+        typer.Option(metavar="[HOST:]PORT", help="Serve live web pages of all tasks, on loopback unless told."),
+    ] = None,
+    web_zenoh_config: Annotated[
+        Path | None,
+        typer.Option(
+            exists=True,
+            dir_okay=False,
+            metavar="FILE",
+            help="A client's Zenoh configuration for the web pages, where clients need certificates or passwords.",
+        ),
+    ] = None,
     log_level: Annotated[str, typer.Option(envvar="CRKR_LOG_LEVEL", help="debug, info, warning or error.")] = "info",
 ) -> None:
     """Run the policy service: `crkr server --listen tcp/127.0.0.1:7447 --data crkr-data --metrics 9464`."""
@@ -63,6 +77,7 @@ def server(
     with ExitStack() as stack:
         stack.callback(log.flush)
         endpoint = stack.enter_context(closing(_metrics_endpoint(metrics))) if metrics else None
+        pages = stack.enter_context(closing(_web_process(web))) if web else None
         settings = ServerSettings(data, listen, zenoh_config)
         where = ", ".join(endpoints(listen, zenoh_config))
         about = f"crkr server {version('crkr')}"
@@ -78,6 +93,9 @@ def server(
                 if endpoint is not None:
                     endpoint.show(running.sources)
                     told += f", metrics at http://{endpoint.address}/metrics"
+                if pages is not None:
+                    pages.start(endpoints(listen, zenoh_config)[0], web_zenoh_config)
+                    told += f", pages at http://{pages.address}/"
                 say(told)
                 serving.set()
                 ready, _, _ = select.select([told_to_stop, replaced], [], [])
@@ -114,12 +132,20 @@ def _open(data: str, listen: str, say: Callable[[str], None], lost: socket.socke
 def _metrics_endpoint(given: str) -> MetricsEndpoint:
     from crkr.server.metrics.endpoint import MetricsEndpoint
 
+    return MetricsEndpoint(*_address(given, "--metrics", 9464))
+
+
+def _web_process(given: str) -> WebProcess:
+    from crkr.server.web_process import WebProcess
+
+    return WebProcess(*_address(given, "--web", 8080))
+
+
+def _address(given: str, option: str, usual: int) -> tuple[str, int]:
     host, _, port = given.rpartition(":")
     if not port.isascii() or not port.isdigit() or int(port) > _LAST_PORT:
-        raise typer.BadParameter(
-            f"an address is HOST:PORT, as in 127.0.0.1:9464; got {given!r}", param_hint="--metrics"
-        )
-    return MetricsEndpoint(host.strip("[]") or "127.0.0.1", int(port))
+        raise typer.BadParameter(f"an address is HOST:PORT, as in 127.0.0.1:{usual}; got {given!r}", param_hint=option)
+    return host.strip("[]") or "127.0.0.1", int(port)
 
 
 def _stop_signal() -> socket.socket:

@@ -33,6 +33,8 @@ _EXTRAS: Final = {
     "rerun": ("dashboard",),
     "scipy": ("server", "mirror", "sim", "experiments"),
     "sklearn": ("experiments",),
+    "starlette": ("web",),
+    "uvicorn": ("web",),
 }
 _EXTRA_OF_PART: Final = {
     "client": "mirror",

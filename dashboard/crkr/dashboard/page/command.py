@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import socket
 from pathlib import Path
 from typing import Annotated, Final
 
 import typer
 
 from crkr.client import Client
-from crkr.client.cli.console import stderr
+from crkr.client.cli.console import configure_logging, stderr
 from crkr.client.cli.options import Connect, Overwrite, Timeout, ZenohConfig
 from crkr.client.cli.output_file import check_output, output_file
+from crkr.client.cli.stop_request import StopRequest
 
 __all__ = ["page"]
 
@@ -18,7 +20,7 @@ PLAYED: Final = 24  # trials of which the best and the worst are shown
 
 
 def page(
-    task: Annotated[str, typer.Argument(help="Name of the task, e.g. table-tennis.")],
+    task: Annotated[str | None, typer.Argument(help="Name of the task, e.g. table-tennis.")] = None,
     out: Annotated[Path, typer.Option(dir_okay=False, metavar="REPORT.html", help="The file to write.")] = Path(
         "report.html"
     ),
@@ -31,6 +33,11 @@ def page(
         str | None,
         typer.Option(metavar="DIR|URL", help="Read a server's data directory or database; it may be off."),
     ] = None,
+    serve: Annotated[
+        str | None,
+        typer.Option(metavar="[HOST:]PORT", help="Serve live pages of all tasks instead, on loopback unless told."),
+    ] = None,
+    socket_fd: Annotated[int | None, typer.Option(hidden=True)] = None,
     connect: Connect = None,
     timeout: Timeout = 5.0,
     zenoh_config: ZenohConfig = None,
@@ -42,7 +49,15 @@ def page(
     played for it and not stored.
 
     Example: crkr page table-tennis --skill table-tennis --out report.html
+    Example: crkr page --serve 127.0.0.1:8080
     """
+    if serve is not None:
+        if task is not None:
+            raise typer.BadParameter("--serve shows all tasks; leave out the task's name")
+        _serve(serve, socket_fd, connect, zenoh_config)
+        return
+    if task is None:
+        raise typer.BadParameter("name a task, or serve all with --serve 127.0.0.1:8080")
     from crkr.dashboard.page.report import add_film, read_stored, read_task, written
 
     if replay is not None and skill is not None:
@@ -59,3 +74,19 @@ def page(
     with output_file(out, overwrite=overwrite) as partial:
         partial.write_text(written(view), encoding="utf-8")
     stderr.print(f"{out}: {view.figures.progress.trials} training trials of task {task}")
+
+
+def _serve(address: str, socket_fd: int | None, connect: str | None, zenoh_config: Path | None) -> None:
+    """Serve live pages until stopped; a server that started this process hands over its socket."""
+    from crkr.dashboard.web.web_server import TIMEOUT_S, bound, parse_address, shown
+    from crkr.dashboard.web.web_server import serve as serve_pages
+
+    configure_logging("warning")
+    handed = socket_fd is not None
+    listening = socket.socket(fileno=socket_fd) if handed else bound(*parse_address(address))
+    with StopRequest() as stop, listening:
+        if not handed:
+            stderr.print(f"pages of all tasks: {shown(listening)}")
+        serve_pages(
+            lambda: Client(connect, timeout_s=TIMEOUT_S, zenoh_config=zenoh_config), listening, stop, tied=handed
+        )

@@ -80,7 +80,7 @@ class Spans:
         used = -(-self._last // self.width)
         if not used:
             return np.zeros(0), np.zeros((0, self._counts.shape[1]))
-        size = min(used, max(-(-least // self.width), used // 40))
+        size = min(used, max(-(-least // self.width) + 1, used // 40))  # the last span may not be full
         sums = np.concatenate([np.zeros((1, self._counts.shape[1])), np.cumsum(self._counts[:used], axis=0)])
         ends = np.minimum(np.arange(size, used + 1) * self.width, self._last)
         return ends.astype(float), sums[size:] - sums[:-size]

@@ -212,8 +212,10 @@
       const [button, seek, shown] = [find("play"), find("seek"), find("clock")];
       const name = () => { button.textContent = player.playing ? "Pause" : "Play"; };
       button.addEventListener("click", () => { player.playing = !player.playing; name(); });
-      seek.addEventListener("input", () => { player.playing = false; player.clock = player.end * seek.value / 1000; name(); });
+      seek.addEventListener("input", () => { player.playing = false; player.clock = player.end * seek.value / 1000; player.stale = true; name(); });
       player.told = () => { seek.value = 1000 * player.clock / (player.end || 1); shown.textContent = `${player.clock.toFixed(2)} s`; };
+      player.seen = true;
+      new IntersectionObserver(([entry]) => { player.seen = entry.isIntersecting; }).observe(canvas);
       let held = null;
       canvas.addEventListener("pointerdown", (event) => { held = [event.clientX, event.clientY]; canvas.setPointerCapture(event.pointerId); });
       canvas.addEventListener("pointerup", () => { held = null; });
@@ -223,29 +225,34 @@
         player.around -= (event.clientX - held[0]) * 0.01;
         player.above = Math.min(1.55, Math.max(-0.4, player.above + (event.clientY - held[1]) * 0.008));
         held = [event.clientX, event.clientY];
+        player.stale = true;
       });
       canvas.addEventListener("wheel", (event) => {
         if (!event.ctrlKey) return;
         event.preventDefault();
         player.far *= Math.exp(event.deltaY * 0.01);
+        player.stale = true;
       }, { passive: false });
       name();
       players.push(player);
     }
   };
-  let before = performance.now();
+  let before = 0;
   const tick = (now) => {
+    requestAnimationFrame(tick);
     const passed = Math.min((now - before) / 1000, 0.1);
+    if (passed < 0.03) return; // 30 pictures a second are enough
     before = now;
     for (const player of players) {
+      const moves = player.playing || player.stale || player.canvas.width !== player.shownWidth;
+      if (!player.seen || !moves) continue;
       if (player.playing) player.clock = player.clock + passed > player.end + 0.8 ? 0 : player.clock + passed;
-      const shown = player.clock;
-      player.clock = Math.min(player.clock, player.end);
+      const clock = player.clock;
+      player.clock = Math.min(clock, player.end);
       player.told();
       player.draw();
-      player.clock = shown;
+      [player.clock, player.stale, player.shownWidth] = [clock, false, player.canvas.width];
     }
-    requestAnimationFrame(tick);
   };
   document.addEventListener("film", begin);
   begin();

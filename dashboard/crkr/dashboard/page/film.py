@@ -125,7 +125,9 @@ class Film:
         script = tag("script", type="application/json", id="film-data")
         script.text = data.replace("<", "\\u003c")
         note = "In real time. Drag to turn; scroll with Ctrl to come nearer."
-        return card("film", "Film", tag("div", *players, klass="players"), script, note=note)
+        made = card("film", "Film", tag("div", *players, klass="players"), script, note=note)
+        made.set("data-version", str(self.version))
+        return made
 
 
 def _is_due(shown: Shown | None, now: float) -> bool:

@@ -17,6 +17,7 @@ from crkr.protocol import TaskSpec
 __all__ = ["PageView"]
 
 LEARNS_S: Final = 20.0  # since the newest trial
+LOST_S: Final = 4.0  # since the server answered
 
 
 @final
@@ -31,14 +32,13 @@ class PageView:
     Attributes:
         figures: What is shown of the trials.
         film: The best and the worst of those that came with a motion.
-        answered: Whether the server answers.
     """
 
     def __init__(self, spec: TaskSpec, progress: Progress, *, live: bool = False) -> None:
         self.figures = Figures(spec, progress)
         self.film = Film()
-        self.answered = True
         self._live = live
+        self._answered = time.monotonic()
         self._status: Mapping[str, Any] = {}
         self._description = spec.description
 
@@ -65,27 +65,24 @@ class PageView:
 
     def status(self, status: Mapping[str, Any], progress: Progress, now: float) -> None:
         """Keep the server's status."""
-        del progress, now  # Unused.
-        self._status = status
-        self.answered = True
+        del progress  # Unused.
+        self._status, self._answered = status, now
 
     def say(self, message: str, *, warning: bool = False) -> None:
-        """Note that the server is lost, or answers again."""
-        del message  # Unused.
-        self.answered = not warning
+        """Show nothing: the age of the status tells whether the server answers."""
 
     def tick(self, now: float, progress: Progress) -> None:
         """Show nothing: a page is made when it is asked for."""
 
-    @property
-    def version(self) -> tuple[int, int]:
-        """What changes with everything that the page shows, times aside."""
-        return self.figures.progress.seq, self.film.version
+    def resume(self, now: float) -> None:
+        """The run is followed again after a pause; `now` is monotonic [s]."""
+        self._answered = now
 
     def server_time(self) -> float:
         """The present time by the server's clock [unix s]; this machine's where an older server does not tell."""
         told = self._status.get("time")
-        return float(told) if isinstance(told, int | float) else time.time()
+        age = time.monotonic() - self._answered
+        return float(told) + age if isinstance(told, int | float) else time.time()
 
     def parts(self) -> list[Element]:
         """Header and sections, each with an id, in their order."""
@@ -118,7 +115,7 @@ class PageView:
         last = self.figures.last
         if not self._live:
             return tag("span", tables.stamp(now), klass="pill")
-        if not self.answered:
+        if time.monotonic() - self._answered > LOST_S:
             return tag("span", "server does not answer", klass="pill off")
         if isinstance(stored, int) and stored > read + 2000:
             return tag("span", f"reading the log: {100 * read // stored}\u202f%", klass="pill")

@@ -153,6 +153,7 @@ class Reader:
             "queues": queues,
             "latency_us": self._latencies.summary(),
             "uptime": time.monotonic() - self._started_monotonic,
+            "time": time.time(),
         }
         if more_workers:
             status["more_workers"] = more_workers

@@ -1,0 +1,122 @@
+"""The live pages of `crkr server --web`: a process of its own, which asks the server as any client does.
+
+So a page costs predictions no thread of the server, and no fault of it is the server's. The socket is the server's, so
+that a taken port is told at once, and that readers wait while the process is started again.
+"""
+
+from __future__ import annotations
+
+import errno
+import importlib.util
+import ipaddress
+import logging
+import socket
+import subprocess
+import sys
+import threading
+from contextlib import suppress
+from pathlib import Path
+from typing import Final, final
+
+from crkr.protocol import Invalid, Unavailable
+
+__all__ = ["WebProcess"]
+
+logger = logging.getLogger(__name__)
+
+_QUEUED: Final = 512  # readers that wait for the process
+_PAUSE_S: Final = 2.0  # before it is started again
+_ENDS_S: Final = 1.0
+
+
+@final
+class WebProcess:
+    """Listens from the beginning, and serves from `start` on.
+
+    Attributes:
+        address: Host and port that it listens on.
+
+    Raises:
+        Unavailable: The address cannot be listened on, e.g. the port is taken.
+        ModuleNotFoundError: The extra 'web' is not installed.
+    """
+
+    def __init__(self, host: str, port: int) -> None:
+        for package in ("uvicorn", "starlette"):
+            if importlib.util.find_spec(package) is None:
+                raise ModuleNotFoundError(f"No module named {package!r}", name=package)
+        self._socket = _listening(host, port)
+        number = self._socket.getsockname()[1]
+        self.address: Final = f"[{host}]:{number}" if ":" in host else f"{host}:{number}"
+        self._stop = threading.Event()
+        self._process: subprocess.Popen[bytes] | None = None
+        self._thread: threading.Thread | None = None
+
+    def start(self, endpoint: str, zenoh_config: Path | None) -> None:
+        """Start the process, and again whenever it ends; a second call does nothing.
+
+        Args:
+            endpoint: Where the server listens.
+            zenoh_config: A client's Zenoh configuration, where the server asks for certificates or passwords.
+        """
+        if self._thread is not None:
+            return
+        command = [sys.executable, "-m", "crkr.client", "page", "--serve", self.address]
+        command += ["--socket-fd", str(self._socket.fileno()), "--connect", _reachable(endpoint)]
+        command += [] if zenoh_config is None else ["--zenoh-config", str(zenoh_config)]
+        self._thread = threading.Thread(target=self._run, args=(command,), name="web process", daemon=True)
+        self._thread.start()
+
+    def _run(self, command: list[str]) -> None:
+        while not self._stop.is_set():
+            # It ends when the pipe to it does, so none is left behind by a server that was killed.
+            with subprocess.Popen(command, stdin=subprocess.PIPE, pass_fds=[self._socket.fileno()]) as process:
+                self._process = process
+                status = process.wait()
+            if not self._stop.wait(_PAUSE_S):
+                logger.warning("the process of the web page ended with status %d; it is started again", status)
+
+    def close(self) -> None:
+        """End the process and stop listening."""
+        self._stop.set()
+        process = self._process
+        if process is not None and process.poll() is None:
+            process.terminate()
+            try:
+                process.wait(_ENDS_S)
+            except subprocess.TimeoutExpired:
+                process.kill()
+        if self._thread is not None:
+            self._thread.join(_ENDS_S)
+        self._socket.close()
+
+
+def _listening(host: str, port: int) -> socket.socket:
+    made = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET, socket.SOCK_STREAM)
+    try:
+        made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        made.bind((host, port))
+        made.listen(_QUEUED)
+    except OSError as error:
+        made.close()
+        taken = "the port is in use; stop what listens there or choose another"
+        reason = taken if error.errno == errno.EADDRINUSE else error.strerror or str(error)
+        raise Unavailable(f"cannot serve the web page on {host}:{port}: {reason}") from error
+    return made
+
+
+def _reachable(endpoint: str) -> str:
+    """The endpoint as a client on this machine connects to it.
+
+    Raises:
+        Invalid: Any port would do, so that the process cannot know which it is.
+    """
+    scheme, _, place = endpoint.partition("/")
+    host, _, port = place.partition("?")[0].partition("#")[0].rpartition(":")
+    if port == "0":
+        raise Invalid(f"the web page needs a server at a fixed port; got {endpoint}")
+    with suppress(ValueError):  # a name
+        address = ipaddress.ip_address(host.strip("[]"))
+        if address.is_unspecified:  # it listens on every interface
+            host = "127.0.0.1" if address.version == 4 else "[::1]"
+    return f"{scheme}/{host}:{port}"

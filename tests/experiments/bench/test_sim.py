@@ -26,6 +26,20 @@ def test_the_command_prints_every_ratio() -> None:
     assert sum(row["bar"] is not None for row in rows.values()) == 4
 
 
+def test_the_throw_is_measured_beside_table_tennis() -> None:
+    app = Typer()
+    app.command()(sim)
+    result = CliRunner().invoke(app, ["--skill", "throw", "--trials", "5", "--json"])
+    assert result.exit_code == 0, result.output
+    rows = {row["what"]: row for row in json.loads(result.stdout)}
+    cost = rows["a contact trial of the throw / of table tennis"]
+    assert cost["value"] * cost["detail"]["stroke ms"] == pytest.approx(cost["detail"]["throw ms"])
+    agreed = rows["same strict verdict as analytic: contact"]
+    assert 0.6 <= agreed["value"] <= 1
+    assert agreed["detail"]["landings apart, median m"] < 0.02
+    assert CliRunner().invoke(app, ["--skill", "reach"]).exit_code == 2
+
+
 def test_the_same_trials_are_timed_in_every_environment() -> None:
     skill = TableTennis(SkillOptions(environment="contact"), traces=False)
     shown = skill.demonstrations(3, np.random.default_rng(0))

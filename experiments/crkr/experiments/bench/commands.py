@@ -76,18 +76,25 @@ def learn(
 def sim(
     trials: Annotated[int, typer.Option(min=1, max=100_000, help="Trials to time in every environment.")] = 200,
     seed: Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Of the run that they are taken from.")] = 0,
+    skill: Annotated[str, typer.Option(help="table-tennis or throw.")] = "table-tennis",
     as_json: Json = False,
 ) -> None:
-    """Measure trials of table tennis beside bare simulation, and swings beside Clarabel.
+    """Measure trials of a shipped skill: what they cost, and how its environments agree.
 
-    Balls and goals are those of a real run after its first 300 trials.
-    Processor times differ between machines; the ratios should not.
+    Table tennis stands beside bare simulation and beside Clarabel, the throw
+    beside table tennis. States and goals are those of a real run after its
+    first 300 trials. Processor times differ between machines; the ratios
+    should not.
 
     Example: crkr bench sim --trials 100 --json
     """
-    from crkr.experiments.bench.sim import measure
-
-    title = f"table tennis, {trials} trials after the first 300 of seed {seed}, one BLAS thread"
+    if skill == "table-tennis":
+        from crkr.experiments.bench.sim import measure
+    elif skill == "throw":
+        from crkr.experiments.bench.throw import measure
+    else:
+        raise typer.BadParameter(f"{skill!r} is none of table-tennis, throw", param_hint="--skill")
+    title = f"{skill}, {trials} trials after the first 300 of seed {seed}, one BLAS thread"
     _measure_with_progress(measure(trials, seed), title, as_json)
 
 

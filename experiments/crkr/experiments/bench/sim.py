@@ -13,6 +13,7 @@ from time import process_time
 from typing import Final, NamedTuple, final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from crkr.experiments.bench.measurements import Measurement, ratio
 from crkr.experiments.learning.run import Course, trained_learner
@@ -28,20 +29,23 @@ from crkr.sim_worker.table_tennis.environments.play import FOLLOW
 from crkr.sim_worker.table_tennis.planner import HOME
 from crkr.sim_worker.table_tennis.scene import make_arm, make_simulation
 from crkr.sim_worker.table_tennis.table_tennis import TableTennis
+from crkr.sim_worker.throw import Throw
 
-__all__ = ["environment_times", "measure"]
+__all__ = ["Run", "agreement", "environment_times", "measure", "timed", "training_run", "verdicts"]
+
+Flags = NDArray[np.bool_]
 
 _WARM: Final = 300  # trials before the measured ones: the active set is then full
 _BATCH: Final = 3000  # trials of the analytic environment at once
 
 
-class _Run(NamedTuple):
+class Run(NamedTuple):
     """The measured part of a run in contact.
 
     Attributes:
-        balls: (n, 6) the states of the trials that moved the arm.
-        goals: (n, 13) the goals tried in them.
-        all_goals: (m, 13) all goals.
+        balls: (n, d) the states of the trials that moved the arm.
+        goals: (n, p) the goals tried in them.
+        all_goals: (m, p) all goals.
         learning_ms: Mean processor time of choosing a goal and learning from its result [ms].
     """
 
@@ -53,7 +57,7 @@ class _Run(NamedTuple):
 
 def measure(trials: int, seed: int) -> Iterator[Measurement]:
     """All figures, in turn, of `trials` trials of a run with a seed."""
-    run = _training_run(trials, seed)
+    run = training_run(TableTennis(SkillOptions(seed=seed), traces=False), trials, seed)
     ms = environment_times(run.balls, run.goals, _BATCH)
     whole = ms["contact"] + run.learning_ms
     behind = {"trial ms": whole, "of it learning": run.learning_ms, "bare steps ms": ms["bare"]}
@@ -82,12 +86,12 @@ def environment_times(balls: Array, goals: Array, batch: int) -> dict[str, float
         skill.attempt(balls[0], goals[0])  # untimed
     for ball, goal in zip(balls, goals, strict=True):
         for name, skill in skills.items():
-            spent[name] += _timed(partial(skill.attempt, ball, goal))
+            spent[name] += timed(partial(skill.attempt, ball, goal))
         spent["bare"] += bare.timed(ball, goal)
     rows = np.resize(np.arange(len(balls)), batch)
     many = AnalyticBatch(make_arm())
     many.play(balls[rows], goals[rows])  # untimed
-    batched = 1e3 * _timed(lambda: many.play(balls[rows], goals[rows])) / batch
+    batched = 1e3 * timed(lambda: many.play(balls[rows], goals[rows])) / batch
     return {name: 1e3 * total / len(balls) for name, total in spent.items()} | {"batched": batched}
 
 
@@ -111,10 +115,11 @@ class _BareSteps:
         times = np.arange(int(np.ceil((hit_time + FOLLOW) / step)), dtype=np.float64) * step
         controls = tracking.controls(self._arm, self._simulation.gains, swing, times)
         start = self._simulation.start(HOME, ball)
-        return _timed(lambda: self._simulation.run(start, controls))
+        return timed(lambda: self._simulation.run(start, controls))
 
 
-def _timed(call: Callable[[], object]) -> float:
+def timed(call: Callable[[], object]) -> float:
+    """Processor time of a call [s]."""
     begin = process_time()
     call()
     return process_time() - begin
@@ -134,33 +139,52 @@ def _swings(goals: Array) -> Measurement:
         attempt(primitive, goals[0])  # untimed
     for goal in goals:
         for name, primitive in both.items():
-            ms[name] += 1e3 / len(goals) * _timed(partial(attempt, primitive, goal))
+            ms[name] += 1e3 / len(goals) * timed(partial(attempt, primitive, goal))
     return ratio("a swing / Clarabel alone on the same goals", ms, "swing", "Clarabel", 0.15, unit="ms")
 
 
-def _agreement(run: _Run) -> Iterator[Measurement]:
+def _agreement(run: Run) -> Iterator[Measurement]:
     """How often the other environments judge a trial as the analytic one does, and how far apart they land."""
-    verdicts = {}
+    exact, landed = verdicts(TableTennis(SkillOptions(environment="analytic"), traces=False), run, slice(3, 5))
     for name in ENVIRONMENTS:
-        skill = TableTennis(SkillOptions(environment=name), traces=False)
-        results = [skill.attempt(ball, goal) for ball, goal in zip(run.balls, run.goals, strict=True)]
-        landings = np.array([np.full(2, np.nan) if r.outcome is None else r.outcome[3:5] for r in results])
-        verdicts[name] = np.array([bool(r.info["outcomes"]["strict"]) for r in results]), landings
-    exact, landed = verdicts.pop("analytic")
+        if name != "analytic":
+            found = verdicts(TableTennis(SkillOptions(environment=name), traces=False), run, slice(3, 5))
+            yield agreement(name, *found, exact, landed)
     batched = AnalyticBatch(make_arm()).play(run.balls, run.goals).strict
-    verdicts["analytic, batched"] = batched, np.full_like(landed, np.nan)
-    for name, (strict, landings) in verdicts.items():
-        apart = np.linalg.norm(landings - landed, axis=1)
-        apart = apart[~np.isnan(apart)]
-        behind = {"landings apart, median m": float(np.median(apart))} if apart.size else {}
-        yield Measurement(
-            f"same strict verdict as analytic: {name}", float((strict == exact).mean()), None, True, behind
-        )
+    yield agreement("analytic, batched", batched, np.full_like(landed, np.nan), exact, landed)
 
 
-def _training_run(trials: int, seed: int) -> _Run:
-    """Trials of the default skill after the first 300 of a run."""
-    skill = TableTennis(SkillOptions(seed=seed), traces=False)
+def verdicts(skill: TableTennis | Throw, run: Run, landing: slice) -> tuple[Flags, Array]:
+    """Success (n,) of a run's trials in a skill's environment, and where the ball landed (n, 2) [m], NaN: nowhere.
+
+    Args:
+        skill: Executes.
+        run: Its trials.
+        landing: Entries of the outcome that say where.
+    """
+    results = [skill.attempt(state, goal) for state, goal in zip(run.balls, run.goals, strict=True)]
+    landings = [np.full(2, np.nan) if one.outcome is None else one.outcome[landing] for one in results]
+    return np.array([one.success for one in results]), np.array(landings)
+
+
+def agreement(name: str, success: Flags, landings: Array, exact: Flags, landed: Array) -> Measurement:
+    """How often an environment judges as the analytic one does, and how far apart they land.
+
+    Args:
+        name: Of the environment.
+        success: (n,) there.
+        landings: (n, 2) there [m].
+        exact: (n,) success in the analytic one.
+        landed: (n, 2) there [m].
+    """
+    apart = np.linalg.norm(landings - landed, axis=1)
+    apart = apart[~np.isnan(apart)]
+    behind = {"landings apart, median m": float(np.median(apart))} if apart.size else {}
+    return Measurement(f"same strict verdict as analytic: {name}", float((success == exact).mean()), None, True, behind)
+
+
+def training_run(skill: TableTennis | Throw, trials: int, seed: int) -> Run:
+    """Trials of a skill after the first 300 of a run."""
     learner = trained_learner(skill, Course(_WARM, 0, 0, 5), seed, lambda _: None)
     rng, balls, goals, executed, spent = training_rng(seed, 2), [], [], [], 0.0
     for _ in range(trials):
@@ -177,4 +201,4 @@ def _training_run(trials: int, seed: int) -> _Run:
         goals.append(answer.goals)
         executed.append(result.executed)
     moved = np.array(executed)
-    return _Run(np.array(balls)[moved], np.array(goals)[moved], np.array(goals), 1e3 * spent / trials)
+    return Run(np.array(balls)[moved], np.array(goals)[moved], np.array(goals), 1e3 * spent / trials)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from crkr.sim_worker.arm import tracking
 from crkr.sim_worker.arm.dynamics import Arm
 from crkr.sim_worker.primitives.joint_motion import JointTrajectory
-from crkr.sim_worker.simulation.flight import GRAVITY, Ball
+from crkr.sim_worker.simulation.flight import GRAVITY, STEP, Ball
 from crkr.sim_worker.simulation.motion import Motion
 from crkr.sim_worker.simulation.simulation import (
     ARM_POSITION,
@@ -36,8 +36,8 @@ __all__ = ["ENVIRONMENTS", "Environment", "Flight", "make_environment"]
 Floats = NDArray[np.float64]
 
 ENVIRONMENTS: Final = ("contact", "analytic")
-FOLLOW: Final = 0.06  # how long arm and ball are simulated together after the release [s]
-FREE: Final = 0.15  # how near to the wall [m] the free ball is followed by formula
+FOLLOW: Final = 0.04  # how long arm and ball are simulated together after the release [s]
+FREE: Final = 0.12  # how near to the wall, or to the height of the rim, the free ball is followed by formula [m]
 CHUNK: Final = 0.05  # [s]
 LONGEST: Final = 3.0  # of a flight [s]
 
@@ -81,10 +81,10 @@ class AnalyticEnvironment:
         grip = self._arm.tool(position[0], velocity[0])
         released = Ball(*grip.position.tolist(), *grip.velocity.tolist())
         passage = Passage.of(released, layout)
-        times = np.arange(0.0, release, FOLLOW / 6)
+        times = np.arange(0.0, release, STEP / 2)
         joints = swing.sample(times)[0]
         held = Motion(times, joints, np.array([self._arm.tool(row).position for row in joints]))
-        flown = held.continued(swing, AIR.path(released, passage.landing_time or 1.0, FOLLOW / 6), release)
+        flown = held.continued(swing, AIR.path(released, passage.landing_time or 1.0, STEP / 2), release)
         return Flight(released, passage, passage.is_clear, flown)
 
 
@@ -115,13 +115,14 @@ class ContactEnvironment:
         return self._ended(layout, swing, motion, freed)
 
     def _ended(self, layout: Layout, swing: JointTrajectory, motion: Motion, freed: Floats) -> Flight:
-        """The flight to its end: by formula until the ball comes near the wall, then in simulation."""
+        """The flight to its end: by formula until the ball comes near what it may touch, then in simulation."""
         ball, time = _ball(freed[-1]), float(motion.time[-1])
         spin = rotated(freed[-1:, BALL_ROTATION], freed[-1:, BALL_SPIN])[0]
         passage = Passage.of(ball, layout)
-        near = AIR.fly_to_x(ball, layout.wall_x - FREE)
+        over = passage.clearance > FREE
+        near = AIR.fly_to_height(ball, RIM + FREE) if over else AIR.fly_to_x(ball, layout.wall_x - FREE)
         if near is not None and ball.x < layout.wall_x - FREE:
-            motion = motion.continued(swing, AIR.path(ball, near[0], CHUNK / 5), time)
+            motion = motion.continued(swing, AIR.path(ball, near[0], STEP), time)
             time, ball = time + near[0], near[1]
         rows, inside = np.array([[*ball, *spin]]), None
         while inside is None and len(rows) < LONGEST / self._alone.timestep:

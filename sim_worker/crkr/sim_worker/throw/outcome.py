@@ -39,13 +39,17 @@ class Passage:
     @classmethod
     def of(cls, ball: Ball, layout: Layout) -> Passage:
         """That of a ball in free flight."""
-        landing = AIR.fly_to_height(ball, RIM)
-        faces = (layout.wall_x - WALL_HALF_THICKNESS, layout.wall_x + WALL_HALF_THICKNESS)
         # Followed under the floor, so that a throw that falls short still tells by how much.
-        heights = [AIR.fly_to_x(ball, face, floor=-np.inf) for face in faces]
-        clearance = min(np.nan if at is None else at[1].z for at in heights) - BALL_RADIUS - layout.wall_height
+        before = AIR.fly_to_x(ball, layout.wall_x - WALL_HALF_THICKNESS, floor=-np.inf)
+        behind = None if before is None else AIR.fly_to_x(before[1], layout.wall_x + WALL_HALF_THICKNESS, floor=-np.inf)
+        lowest = np.nan if before is None or behind is None else min(before[1].z, behind[1].z)
+        start, time = ball, 0.0
+        if before is not None and behind is not None and behind[1].z > RIM:
+            start, time = behind[1], before[0] + behind[0]
+        landing = AIR.fly_to_height(start, RIM)
         miss = np.full(2, np.nan) if landing is None else np.array(landing[1][:2]) - layout.bin[:2]
-        return cls(miss, float(clearance), None if landing is None else landing[0])
+        clearance = float(lowest - BALL_RADIUS - layout.wall_height)
+        return cls(miss, clearance, None if landing is None else time + landing[0])
 
     @property
     def is_clear(self) -> bool:

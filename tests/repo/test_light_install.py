@@ -71,6 +71,8 @@ def test_the_client_and_the_command_work_without_the_extras() -> None:
         ("experiment learning", "", "experiments"),
         ("export", "throw throw.parquet", "export"),
         ("page", "--serve 8080", "web"),
+        ("plot coverage", "throw", "sim"),
+        ("plot learning", "throw", "sim"),
         ("plot policy", "throw --vary x", "sim"),
         ("server", "--metrics 9464", "server"),
     ],

@@ -63,6 +63,7 @@ class Browser:
                 binary,
                 *OPTIONS,
                 f"--user-data-dir={profile}",
+                "about:blank",
             ],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
@@ -124,8 +125,9 @@ class Browser:
 
     def open(self, address: str) -> None:
         """Open a page, and return when it has loaded."""
-        self.ask("Page.navigate", url=address)
-        self.until("document.readyState === 'complete' && location.href !== 'about:blank'")
+        failed = self.ask("Page.navigate", url=address).get("errorText")
+        assert not failed, f"{address}: {failed}"
+        self.until(f"document.readyState === 'complete' && location.href === {json.dumps(address)}")
 
     def run(self, script: str) -> Any:
         """The value of an expression in the page."""

@@ -70,31 +70,49 @@ class Pair:
     def endpoints(self) -> str:
         return ",".join(member.endpoint for member in self.members)
 
-    def start(self) -> None:
-        """Start both at once; the one that gets the log is the first from then on."""
-        for member in self.members:
+    def start(self, *, in_turn: bool = False) -> None:
+        """Start both; the one that gets the log is the first from then on."""
+        for number, member in enumerate(self.members):
             member.start()
-        for member in self.members:
-            self.wait_until(lambda member=member: member.says("listening on") or member.says("standing by"), member.log)
+            if in_turn or number:
+                self._wait(member)
+        self._wait(self.members[0])
         self.members.sort(key=lambda member: not member.says("listening on"))
+
+    def _wait(self, member: Member) -> None:
+        self.wait_until(lambda: member.says("listening on") or member.says("standing by"), member.log)
 
 
 @pytest.fixture
-def pair(make_database: Callable[[], str], tmp_path: Path, processes: Any, unused_ports: list[int]) -> Iterator[Pair]:
-    """Two servers that run."""
-    url = make_database()
-    members = [
-        Member(f"tcp/127.0.0.1:{port}", url, tmp_path / f"{name}.log")
-        for name, port in zip(("first", "second"), unused_ports, strict=True)
-    ]
-    made = Pair(url, members, processes.wait_until)
+def make_pair(
+    make_database: Callable[[], str], postgres: Any, tmp_path: Path, processes: Any, unused_ports: list[int]
+) -> Iterator[Callable[..., Pair]]:
+    """Starts two servers; the first, which gets the log, may reach the database by another port than the second."""
+    made: list[Pair] = []
+
+    def make(port: int | None = None) -> Pair:
+        url = make_database()
+        first = url if port is None else url.replace(f":{postgres.port}/", f":{port}/")
+        members = [
+            Member(f"tcp/127.0.0.1:{listen}", data, tmp_path / f"{name}.log")
+            for name, listen, data in zip(("first", "second"), unused_ports, (first, url), strict=True)
+        ]
+        made.append(Pair(url, members, processes.wait_until))
+        made[0].start(in_turn=port is not None)
+        return made[0]
+
     try:
-        made.start()
-        yield made
+        yield make
     finally:
-        for member in members:
+        for member in made[0].members if made else ():
             member.end()
             sys.stdout.write(member.log.read_text() if member.log.exists() else "")
+
+
+@pytest.fixture
+def pair(make_pair: Callable[..., Pair]) -> Pair:
+    """Two servers that run."""
+    return make_pair()
 
 
 @dataclass
@@ -132,16 +150,28 @@ class Reporters:
 
 
 @pytest.fixture
-def reporters(pair: Pair) -> Iterator[Reporters]:
-    """Three of them, of the task `reach`, which is made; they know both servers."""
-    with Client(pair.endpoints, timeout_s=60) as client:
-        client.create_task(SPEC)
-    made = Reporters(pair.endpoints)
-    made.start(3)
+def start_reporters() -> Iterator[Callable[[Pair], Reporters]]:
+    """Starts three of them, of the task `reach`, which is made; they know both servers."""
+    made: list[Reporters] = []
+
+    def start(pair: Pair) -> Reporters:
+        with Client(pair.endpoints, timeout_s=60) as client:
+            client.create_task(SPEC)
+        made.append(Reporters(pair.endpoints))
+        made[0].start(3)
+        return made[0]
+
     try:
-        yield made
+        yield start
     finally:
-        made.end()
+        for one in made:
+            one.end()
+
+
+@pytest.fixture
+def reporters(pair: Pair, start_reporters: Callable[[Pair], Reporters]) -> Reporters:
+    """Three of them that report."""
+    return start_reporters(pair)
 
 
 @pytest.fixture

@@ -3,6 +3,7 @@
 import signal
 import subprocess
 import sys
+from collections.abc import Sequence
 from typing import Any
 from uuid import UUID
 
@@ -35,25 +36,55 @@ def server_id(endpoints: str) -> UUID:
         return client.server_id()
 
 
-@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSTOP, signal.SIGTERM])
-def test_the_server_that_stands_by_takes_over_under_load(
-    how: signal.Signals, pair: Any, reporters: Any, task: Task, processes: Processes
+def test_the_log_goes_from_server_to_server_under_load(
+    pair: Any, reporters: Any, task: Task, processes: Processes
 ) -> None:
-    first, second = pair.members
-    processes.wait_until(lambda: reporters.failed or len(reporters.acknowledged) > 60)
-    before, log_id = task.predict([0.1, 0.2]).model_version, server_id(pair.endpoints)
-    first.send(how)
-    processes.wait_until(lambda: second.says("listening on"), second.log)
-    reached = len(reporters.acknowledged)
-    processes.wait_until(lambda: reporters.failed or len(reporters.acknowledged) > reached + 60)
-    assert task.predict([0.1, 0.2]).model_version > before
+    hand_over(pair, reporters, task, processes, (signal.SIGKILL, signal.SIGSTOP, signal.SIGTERM))
+
+
+@pytest.mark.campaign
+@pytest.mark.timeout(3000)
+def test_a_hundred_owners_in_turn(pair: Any, reporters: Any, task: Task, processes: Processes, postgres: Any) -> None:
+    for turn in range(10):
+        ways = (signal.SIGKILL, signal.SIGSTOP) * 5
+        hand_over(pair, reporters, task, processes, ways[turn % 2 :] + ways[: turn % 2])
+        postgres.stop(signal.SIGQUIT if turn % 2 else signal.SIGINT)
+        postgres.start()
+
+
+def hand_over(pair: Any, reporters: Any, task: Task, processes: Processes, ways: Sequence[signal.Signals]) -> None:
+    """End the owner in each way, and let it stand by after that; clients ask all the while."""
+    log_id, before = server_id(pair.endpoints), 0
+    for how in ways:
+        processes.wait_until(lambda: sum(owns(member) for member in pair.members) == 1)
+        owner, other = sorted(pair.members, key=owns, reverse=True)
+        reached = len(reporters.acknowledged)
+        processes.wait_until(lambda reached=reached: reporters.failed or len(reporters.acknowledged) > reached + 30)
+        version = task.predict([0.1, 0.2]).model_version
+        assert version > before
+        owner.send(how)
+        processes.wait_until(lambda other=other: owns(other), other.log)
+        before = task.predict([0.1, 0.2]).model_version
+        assert before >= version
+        if how == signal.SIGSTOP:
+            owner.send(signal.SIGCONT)
+        else:
+            owner.start()
+        processes.wait_until(lambda owner=owner: stands_by(owner), owner.log)
     assert server_id(pair.endpoints) == log_id  # clients know the log, not the server
-    if how == signal.SIGSTOP:
-        first.send(signal.SIGCONT)
-        processes.wait_until(lambda: first.says("standing by"), first.log)
-    else:
-        first.start()
-        processes.wait_until(lambda: first.says("standing by"), first.log)
-    reporters.end()
+    check_log(pair.url, list(reporters.acknowledged))
     assert reporters.failed == []
-    check_log(pair.url, reporters.acknowledged)
+
+
+def owns(member: Any) -> bool:
+    """Whether it said last that it listens."""
+    return last_words(member).rfind("listening on") > last_words(member).rfind("standing by")
+
+
+def stands_by(member: Any) -> bool:
+    """Whether it said last that it stands by."""
+    return last_words(member).rfind("listening on") < last_words(member).rfind("standing by")
+
+
+def last_words(member: Any) -> str:
+    return str(member.log.read_text())

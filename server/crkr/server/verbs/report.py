@@ -15,6 +15,7 @@ from crkr.protocol import (
     Receipt,
     ReportRequest,
     ShuttingDown,
+    StorageError,
     TaskSpec,
     UnknownTask,
     check_model_fits,
@@ -101,7 +102,8 @@ class Writer:
             with self.commits.timing():
                 results = self._log.append_reports(pending)
         except CrkrError as error:  # STORAGE, or SHUTTING_DOWN where the database is away for now
-            logger.error("reports were not stored: %s", error.message)
+            level = logging.ERROR if isinstance(error, StorageError) else logging.DEBUG  # the lease tells of an outage
+            logger.log(level, "reports were not stored: %s", error.message)
             for request, _, _ in decoded:
                 request.fail(error)
             return

@@ -96,6 +96,7 @@ class Lease:
         self._unchanged_since = 0.0
         self._stopped = threading.Event()
         self._standbys: Sequence[str] = ()
+        self._away = False
         self._thread: threading.Thread | None = None
         try:
             with database_errors("open the task log"):
@@ -161,8 +162,9 @@ class Lease:
             back = self._connection is None or self._connection.closed
             found = self._connected().execute(_RETURN if back else _BEAT, (self.epoch,)).fetchone()
         except psycopg.Error as error:
-            said = " ".join(str(error).split())
-            logger.warning("the database is away, reports wait: %s", said)
+            if not self._away:
+                logger.warning("the database is away, reports wait: %s", " ".join(str(error).split()))
+            self._away = True
             if self._connection is not None:
                 self._connection.close()
             if (other := self._successor()) is not None:
@@ -172,6 +174,9 @@ class Lease:
         if found is None:
             lost("another server owns the log now")
             return False
+        if self._away:
+            logger.info("the database is back")
+        self._away = False
         self._standbys = [one for one in found[0] if one != self._address]
         return True
 

@@ -12,15 +12,19 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from crkr.protocol import Geom, Invalid, TaskSpec, Trace
+from crkr.client.commands.spec_files import read_spec
+from crkr.protocol import Geom, Invalid, TaskSpec, Trace, check_name
+from crkr.sim_worker.chain import Chain
 
 __all__ = [
+    "Chain",
     "Demonstration",
     "Film",
     "Floats",
@@ -44,6 +48,7 @@ __all__ = [
     "TrialResult",
     "judged_state",
     "options_in_force",
+    "read_specification",
 ]
 
 Floats = NDArray[np.float64]
@@ -66,6 +71,12 @@ class SkillOptions:
     preset: str | None = None
     name: str | None = None
     seed: int = 0
+
+    def applied_to(self, spec: TaskSpec) -> TaskSpec:
+        """A skill's specification with the name and the seed that are asked for."""
+        return replace(
+            spec, name=spec.name if self.name is None else check_name(self.name), seed=self.seed or spec.seed
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -222,6 +233,11 @@ class HasOptions(Protocol):
     def options(self) -> SkillOptions:
         """The options in force: environment and launcher are named where the skill has any."""
         ...
+
+
+def read_specification(path: Path | str) -> TaskSpec:
+    """The specification in a .toml or .json file; raises `Invalid` with the reason and the file's name."""
+    return read_spec(Path(path))
 
 
 def options_in_force(skill: Skill, asked: SkillOptions) -> SkillOptions:

@@ -8,7 +8,7 @@ import re
 import sys
 import traceback
 from contextlib import chdir
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, Final, NoReturn, final
@@ -24,6 +24,7 @@ __all__ = [
     "default_task",
     "installed_skills",
     "load_skill",
+    "portable_name",
     "skill_of",
     "specification",
     "task_name",
@@ -75,14 +76,6 @@ def task_name(member: str) -> str:
     return re.sub(r"[^a-z0-9]+", "-", member.rpartition(":")[2].lower()).strip("-")[:63] or "task"
 
 
-def skill_of(spec: TaskSpec) -> str | None:
-    """The installed skill that a task says it is for, or is named after; None where there is none.
-
-    A name with a colon is not taken from a server: it would run any code that it names.
-    """
-    return next((name for name in (spec.skill, spec.name) if name in installed_skills()), None)
-
-
 def load_skill(name: str, options: SkillOptions) -> Skill:
     """Makes a skill.
 
@@ -116,6 +109,36 @@ def load_skill(name: str, options: SkillOptions) -> Skill:
     return skill
 
 
+def portable_name(name: str) -> str:
+    """A skill's name as a task remembers it: a file by its whole path."""
+    place = _Place.of(name) if ":" in name and not _family(name) else None
+    return name if place is None or place.file is None else f"{place.file}:{place.factory}"
+
+
+def skill_of(spec: TaskSpec) -> str | None:
+    """The skill that a task says it is for, or an installed one that it is named after; None where there is none.
+
+    A task is another's word. So of what it says, only an installed skill is loaded, code in the working directory, or a
+    file that belongs to this user.
+
+    Raises:
+        Invalid: It says another one.
+    """
+    name = spec.skill
+    if ":" not in name:
+        return next((one for one in (name, spec.name) if one in installed_skills()), None)
+    if _family(name):
+        return name
+    place = _Place.of(name)
+    found: Path | None = place.file
+    if found is None:
+        top = place.folder / place.module.partition(".")[0]
+        found = next((path for path in (top.with_suffix(".py"), top) if path.exists()), None)
+    if found is None or found.stat().st_uid not in (0, os.getuid()):
+        raise Invalid(f"task {spec.name!r} was made for skill {name!r}, which is not here; name yours by --skill")
+    return name
+
+
 def _was_not_entered(error: BaseException) -> bool:
     """Whether the call itself failed, as for `os:system`, rather than code of a factory."""
     return error.__traceback__ is None or Path(traceback.extract_tb(error.__traceback__)[-1].filename) == Path(__file__)
@@ -129,7 +152,7 @@ def specification(skill: str, /, **options: Any) -> TaskSpec:
         ModuleNotFoundError: A library that the skill needs is not installed.
     """
     with chdir(os.getcwd()):  # also where the skill changes folder: the command may write to a relative path
-        return GuardedSkill(load_skill(skill, SkillOptions(**options))).spec()
+        return replace(GuardedSkill(load_skill(skill, SkillOptions(**options))).spec(), skill=portable_name(skill))
 
 
 def _from_entry_point(name: str) -> Any:

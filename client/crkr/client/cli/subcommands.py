@@ -14,7 +14,7 @@ __all__ = ["build"]
 
 GROUP: Final = "crkr.commands"
 _PANELS: Final[Mapping[str, tuple[str, ...]]] = {
-    "Run": ("demo", "server", "workers", "watch"),
+    "Run": ("demo", "new", "check-skill", "server", "workers", "watch"),
     "Ask and report": ("create", "tasks", "status", "predict", "report", "ask", "trials", "explain", "doctor"),
     "Judge": ("page", "evaluate", "oracle", "render", "plot", "experiment", "bench"),
     "Correct a task": ("amend", "undo", "recost", "remove", "rollback"),

@@ -35,9 +35,9 @@ class Geom:
     body: str
     shape: str
     size: tuple[float, float, float]
-    position: tuple[float, float, float]
-    quaternion: tuple[float, float, float, float]
-    colour: tuple[float, float, float, float]
+    position: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    quaternion: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
+    colour: tuple[float, float, float, float] = (0.5, 0.5, 0.5, 1.0)
 
 
 @final

@@ -34,7 +34,7 @@ def evaluate(
     task: Annotated[str, typer.Argument(help="Name of the task.")],
     skill: Annotated[
         str | None,
-        typer.Option(help="Skill that executes the goals, or package.module:factory; the task's name unless given."),
+        typer.Option(help="Skill that executes the goals; the one that the task was made for unless given."),
     ] = None,
     contexts: Annotated[int, typer.Option(min=1, max=1_000_000, help="Number of contexts.")] = 1000,
     balls: OldContexts = None,
@@ -64,14 +64,15 @@ def evaluate(
     from crkr.sim_worker.evaluation import assessment
     from crkr.sim_worker.guarded_skill import GuardedSkill
     from crkr.sim_worker.skill import SkillOptions, options_in_force
-    from crkr.sim_worker.skill_registry import load_skill
+    from crkr.sim_worker.skill_registry import load_skill, skill_of
 
-    name, contexts = skill or task, balls or contexts
+    contexts = balls or contexts
     options = SkillOptions(environment=environment, launcher=launcher, name=task)
-    player = load_skill(name, options)
-    chosen = options_in_force(player, options)
     with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
         judged = client.task(task)
+        name = skill or skill_of(judged.spec) or task
+        player = load_skill(name, options)
+        chosen = options_in_force(player, options)
         answers = assessment.ask(judged, GuardedSkill(player), contexts, seed)
         goals = np.concatenate([answer.goals for answer in answers])
         with Progress(stderr, "evaluating", contexts, "contexts") as progress:

@@ -47,6 +47,12 @@ On = Annotated[str, typer.Option("--on", help="Where workers run: here, or ray, 
 PerPlace = Annotated[
     int, typer.Option("--cpus-per-place", min=1, max=256, help="Workers that one node of a cluster gets at a time.")
 ]
+Fresh = Annotated[
+    bool,
+    typer.Option(
+        "--fresh", help="Delete the task that is there and begin anew, while its specification still changes."
+    ),
+]
 
 
 def workers(
@@ -65,6 +71,7 @@ def workers(
     wait: Wait = False,
     on: On = "here",
     cpus_per_place: PerPlace = 8,
+    fresh: Fresh = False,
     connect: Connect = None,
     timeout: Timeout = 5.0,
     zenoh_config: ZenohConfig = None,
@@ -109,6 +116,7 @@ def workers(
         patience_s=patience,
         stall_s=stall,
         wait=wait,
+        fresh=fresh,
         log_level=log_level,
     )
     with Progress(stderr, "training", trials, "trials") as progress:

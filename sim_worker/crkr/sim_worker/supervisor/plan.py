@@ -33,6 +33,7 @@ class RunPlan:
         stall_s: How long a worker with work may make no progress, its calls aside [s].
         wait: Reports return when the model includes the trial.
         log_level: For the processes.
+        fresh: Delete the task that is there, and begin it anew.
     """
 
     skill: str
@@ -49,6 +50,7 @@ class RunPlan:
     stall_s: float
     wait: bool
     log_level: str
+    fresh: bool = False
 
 
 @final

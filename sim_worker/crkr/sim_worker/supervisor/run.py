@@ -6,16 +6,17 @@ import os
 import re
 import socket
 from collections.abc import Callable
+from dataclasses import replace
 
 from crkr.client import Client, Task
 from crkr.protocol import NoSamples, Unavailable
 from crkr.sim_worker.evaluation.epoch_schedule import JudgeRole
 from crkr.sim_worker.guarded_skill import GuardedSkill
 from crkr.sim_worker.randomness import demonstration_rng, worker_seed
-from crkr.sim_worker.skill_registry import load_skill
+from crkr.sim_worker.skill_registry import load_skill, portable_name
 from crkr.sim_worker.supervisor.plan import RunPlan, RunReport
 from crkr.sim_worker.supervisor.supervisor import Supervisor, training_trials
-from crkr.sim_worker.supervisor.task_setup import create_or_join, record_demonstrations
+from crkr.sim_worker.supervisor.task_setup import create_or_join, delete_if_there, record_demonstrations
 from crkr.sim_worker.worker.process import ProcessSettings
 from crkr.sim_worker.worker.trial_loop import Identity
 
@@ -38,7 +39,10 @@ def run_workers(plan: RunPlan, say: Callable[[str], None], show: Callable[[int, 
     skill = GuardedSkill(load_skill(plan.skill, plan.options))
     with Client(plan.endpoint, timeout_s=plan.timeout_s, zenoh_config=plan.zenoh_config) as client:
         _wait_for_server(client, plan.patience_s, say)
-        task = create_or_join(client, skill.spec(), say, its_settings=plan.options.preset is None)
+        spec = replace(skill.spec(), skill=portable_name(plan.skill))
+        if plan.fresh:
+            delete_if_there(client, spec.name, say)
+        task = create_or_join(client, spec, say, its_settings=plan.options.preset is None)
         for line in skill.lacks:
             say(f"skill {plan.skill} has {line}")
         added = _demonstrate(plan, task, skill, say)

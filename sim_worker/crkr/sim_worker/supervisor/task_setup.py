@@ -7,12 +7,21 @@ from collections.abc import Callable
 import numpy as np
 
 from crkr.client import Client, Task
-from crkr.protocol import Conflict, TaskSpec, Trial, demonstration_id
+from crkr.protocol import Conflict, TaskSpec, Trial, UnknownTask, demonstration_id
 from crkr.sim_worker.guarded_skill import GuardedSkill
 from crkr.sim_worker.skill import Demonstration
 from crkr.sim_worker.worker.telemetry import Telemetry
 
-__all__ = ["create_or_join", "record_demonstrations"]
+__all__ = ["create_or_join", "delete_if_there", "record_demonstrations"]
+
+
+def delete_if_there(client: Client, name: str, say: Callable[[str], None]) -> None:
+    """Frees a task's name, so that it begins anew; raises `Conflict` where workers train it."""
+    try:
+        client.task(name).delete()
+    except UnknownTask:
+        return
+    say(f"deleted the task {name} that was there; the server's log keeps it until crkr purge")
 
 
 def create_or_join(client: Client, spec: TaskSpec, say: Callable[[str], None], *, its_settings: bool = False) -> Task:
@@ -44,7 +53,7 @@ def create_or_join(client: Client, spec: TaskSpec, say: Callable[[str], None], *
         listed = ", ".join(sorted(fields))
         raise Conflict(
             f"task {spec.name!r} exists with another specification; these fields differ: {listed}; "
-            "choose another name with --task, or the options it was created with",
+            "choose another name with --task, the options it was created with, or --fresh to begin it anew",
             details=conflict.details,
         ) from conflict
 

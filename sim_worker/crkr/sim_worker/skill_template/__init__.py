@@ -1,0 +1,43 @@
+"""The files that `crkr new` writes, under their template's name, and the function that writes them."""
+
+from __future__ import annotations
+
+import re
+from importlib.resources import files
+from pathlib import Path
+
+from crkr.protocol import Invalid
+
+__all__ = ["write_skill"]
+
+_FILES = ("my_robot.py", "my_robot.toml", "test_my_robot.py.txt")  # the last is no test of this package
+
+
+def write_skill(name: str, folder: Path) -> list[Path]:
+    """Writes a skill's module, its specification and its test; returns the files.
+
+    Args:
+        name: A module's name, as my_robot.
+        folder: Where to.
+
+    Raises:
+        Invalid: The name cannot be a module's, or a file is there already.
+    """
+    module = name.removesuffix(".py")
+    if not re.fullmatch(r"[a-z][a-z0-9_]{0,40}", module) or module.endswith("_"):
+        raise Invalid(f"a skill's name is a Python module's, as my_robot: small letters, digits and _; got {name!r}")
+    words = module.split("_")
+    named = {
+        "my_robot": module,
+        "my-robot": "-".join(word for word in words if word),
+        "MyRobot": "".join(word.capitalize() for word in words),
+    }
+    target = folder.absolute()
+    made = [target / file.replace("my_robot", module).removesuffix(".txt") for file in _FILES]
+    if there := [path for path in made if path.exists()]:
+        raise Invalid(f"{there[0]} is there already; choose another name or folder")
+    target.mkdir(parents=True, exist_ok=True)
+    for file, path in zip(_FILES, made, strict=True):
+        text = files(__name__).joinpath(file).read_text(encoding="utf-8")
+        path.write_text(re.sub("|".join(named), lambda found: named[found[0]], text), encoding="utf-8")
+    return made

@@ -19,7 +19,7 @@ _PANELS: Final[Mapping[str, tuple[str, ...]]] = {
     "Judge": ("page", "evaluate", "oracle", "render", "plot", "experiment", "bench"),
     "Correct a task": ("amend", "undo", "recost", "remove", "rollback"),
     "Manage a task": ("refit", "configure", "rename", "archive", "delete"),
-    "Data": ("export", "import", "backup", "replay", "purge"),
+    "Data": ("export", "import", "warm-start", "backup", "replay", "purge"),
 }
 _GROUP_HELP: Final[Mapping[str, str]] = {
     "bench": "Measure this machine, side by side with a bare baseline.\n\nExample: crkr bench predict",

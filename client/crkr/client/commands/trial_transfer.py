@@ -1,4 +1,4 @@
-"""`crkr export` and `crkr import`."""
+"""`crkr export`, `crkr import` and `crkr warm-start`."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from typing import Annotated, Final
 
 import typer
 
-from crkr.client import Client
+from crkr.client import Client, Task
 from crkr.client.cli.console import print_json, stderr, stdout
 from crkr.client.cli.options import Connect, Json, Overwrite, Timeout, ZenohConfig
 from crkr.client.cli.output_file import check_output
 from crkr.client.cli.progress import Progress
-from crkr.protocol import Internal
+from crkr.protocol import Internal, Invalid, Unsupported
 
-__all__ = ["export", "import_"]
+__all__ = ["export", "import_", "warm_start"]
 
 _PAGE: Final = 5000  # trials asked for, and written, together
 
@@ -23,20 +23,29 @@ _PAGE: Final = 5000  # trials asked for, and written, together
 def export(
     task: Annotated[str, typer.Argument(help="Name of the task.")],
     file: Annotated[Path, typer.Argument(dir_okay=False, help="File to write: .parquet, .csv or .npz.")],
+    policy: Annotated[
+        bool, typer.Option("--policy", help="Write the policy instead, as an .npz that NumPy alone evaluates.")
+    ] = False,
     overwrite: Overwrite = False,
     connect: Connect = None,
     timeout: Timeout = 10.0,
     zenoh_config: ZenohConfig = None,
     as_json: Json = False,
 ) -> None:
-    """Write all trials of a task, with their present costs, to a file.
+    """Write all trials of a task, as they are after all corrections, to a file.
 
     Example: crkr export throw throw.parquet
+
+    Example: crkr export throw policy.npz --policy
 
     The file has no settings and no fitted numbers; `crkr backup` copies everything.
     """
     from crkr.client.trial_files import Layout, check_kind, trial_sink
 
+    if policy:
+        with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
+            _export_policy(client.task(task), file, as_json, overwrite=overwrite)
+        return
     check_kind(file)
     check_output(file, overwrite=overwrite)
     with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
@@ -56,6 +65,59 @@ def export(
         print_json({"task": task, "file": str(file), "trials": done, "bytes": size})
     else:
         stdout.print(f"{file}: {done} trials, {size} bytes")
+
+
+def _export_policy(task: Task, file: Path, as_json: bool, *, overwrite: bool) -> None:
+    if file.suffix.lower() != ".npz":
+        raise Invalid(f"a policy is written as .npz; got {file.name!r}")
+    check_output(file, overwrite=overwrite)
+    try:
+        from crkr.client.mirror.policy_file import save_policy
+    except ModuleNotFoundError as error:
+        raise Unsupported("a policy's file needs the extra 'mirror': pip install 'crkr[mirror]'") from error
+    version = save_policy(task, file, overwrite=overwrite)
+    if as_json:
+        print_json({"task": task.name, "file": str(file), "model_version": version, "bytes": file.stat().st_size})
+    else:
+        stdout.print(f"{file}: policy of version {version}, {file.stat().st_size} bytes")
+
+
+def warm_start(
+    task: Annotated[str, typer.Argument(help="Name of an existing task, whose specification may differ.")],
+    source: Annotated[str, typer.Option("--from", metavar="TASK", help="Task whose trials are taken.")],
+    columns: Annotated[
+        list[str] | None,
+        typer.Option("--map", metavar="NEW=OLD", help='Source of a coordinate, as "goal.speed=0.01 * goal.v + 2".'),
+    ] = None,
+    connect: Connect = None,
+    timeout: Timeout = 60.0,
+    zenoh_config: ZenohConfig = None,
+    as_json: Json = False,
+) -> None:
+    """Start a task from another's trials; coordinates of the same name are taken over, others are mapped.
+
+    Example: crkr warm-start throw-far --from throw --map goal.speed=goal.v --map goal.spin=0
+
+    Goals outside the task's bounds are skipped. Repeating it stores nothing twice.
+    """
+    from crkr.client.trial_files import warm_start as start
+
+    mapped: dict[str, str | float] = {}
+    for one in columns or []:
+        name, equals, old = one.partition("=")
+        if not equals:
+            raise typer.BadParameter(f"a mapping is NEW=OLD, as goal.speed=goal.v; got {one!r}")
+        mapped[name.strip()] = old.strip()
+    with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
+        begun, taken = client.task(task), client.task(source)
+        total = sum(taken.status()["samples"].values())
+        with Progress(stderr, f"starting {task}", total, "trials") as bar:
+            done = start(begun, taken, mapped, timeout_s=timeout, progress=bar.show)
+    if as_json:
+        print_json({"task": task, "from": source, **asdict(done)})
+    else:
+        rest = f"{done.duplicates} known already, {done.skipped} skipped"
+        stdout.print(f"{task}: {done.accepted} trials of {source} stored, {rest}")
 
 
 def import_(

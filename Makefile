@@ -19,7 +19,7 @@ demo: setup ## learn table tennis from nothing, on this machine; ARGS="--trials 
 	@$(BIN)/crkr demo $(ARGS)
 
 test: lint ## run ruff, mypy and pytest, on up to eight cores; ARGS="-k name"
-	@$(BIN)/pytest -n auto --maxprocesses 8 --dist worksteal $(ARGS)
+	@OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n auto --maxprocesses 8 --dist worksteal $(ARGS)
 
 lint: setup ## run ruff and mypy only
 	@$(BIN)/ruff check .

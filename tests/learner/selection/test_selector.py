@@ -7,10 +7,11 @@ from functools import partial
 import numpy as np
 import pytest
 
+from crkr.experiments.study.selectors import RIVAL_SELECTORS
 from crkr.learner import SELECTORS, Anms, Selector, SelectorFactory, accelerate
 
 BUDGET = 7
-FACTORIES: dict[str, SelectorFactory] = {**SELECTORS, "anms by tree": partial(Anms, tree_from=0)}
+FACTORIES: dict[str, SelectorFactory] = {**RIVAL_SELECTORS, "anms by tree": partial(Anms, tree_from=0)}
 
 
 @pytest.fixture(autouse=True, scope="module")

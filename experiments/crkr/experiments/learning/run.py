@@ -12,12 +12,12 @@ from uuid import UUID
 import numpy as np
 
 from crkr.client.tally import Tally, success_by_criterion
-from crkr.learner import Learner
+from crkr.learner import Learner, SelectorFactory
 from crkr.protocol import Invalid, NoSamples, TaskSpec, training_id
 from crkr.sim_worker.randomness import demonstration_rng, evaluation_rng, fresh_rng, training_rng
-from crkr.sim_worker.skill import Demonstration, HasDemonstrations, Skill, judged_state
+from crkr.sim_worker.skill import Demonstration, Floats, HasDemonstrations, Skill, judged_state
 
-__all__ = ["MARKS", "Course", "LearningRun", "Score", "learn_once", "trained_learner"]
+__all__ = ["MARKS", "Course", "LearningRun", "Score", "demonstrated", "judge", "learn_once", "trained_learner"]
 
 MARKS: Final = (0, 25, 50, 100, 200, 300, 500, 750, 1000, 1250)  # much is learned early
 
@@ -100,8 +100,11 @@ class LearningRun:
         return {**shallow, "final": self.final.to_dict(), "curve": [score.to_dict() for score in self.curve]}
 
 
-def learn_once(skill: Skill, course: Course, seed: int) -> LearningRun:
-    """Learn by the skill's specification and evaluate the result; the same arguments give the same bits."""
+def learn_once(skill: Skill, course: Course, seed: int, selector: SelectorFactory | None = None) -> LearningRun:
+    """Learn by the skill's specification and evaluate the result; the same arguments give the same bits.
+
+    A `selector` takes the place of the specification's.
+    """
     training, curve, digest = Counter[str](), list[Score](), sha256()
     filled: int | None = None
 
@@ -110,11 +113,13 @@ def learn_once(skill: Skill, course: Course, seed: int) -> LearningRun:
         if filled is None and learner.eligible > learner.spec.budget:
             filled = trial
         if course.marks and (trial in course.marks or trial == course.trials):
-            score = _judge(skill, learner, trial, course.watched, lambda context: evaluation_rng(seed, context))
+            score = judge(skill, _policy(learner), trial, course.watched, lambda context: evaluation_rng(seed, context))
             curve.extend([score] if score.contexts else [])
 
-    learner = _trained_learner(skill, course, seed, training, digest.update, watch)
-    final = _judge(skill, learner, course.trials, course.contexts, lambda context: fresh_rng(course.judge, context))
+    learner = _trained_learner(skill, course, seed, training, digest.update, watch, selector)
+    final = judge(
+        skill, _policy(learner), course.trials, course.contexts, lambda context: fresh_rng(course.judge, context)
+    )
     return LearningRun(seed, final, tuple(curve), dict(training.most_common()), filled, digest.hexdigest())
 
 
@@ -134,9 +139,11 @@ def _trained_learner(
     training: Counter[str],
     digest: Callable[[bytes], object],
     watch: Callable[[Learner, int], object],
+    selector: SelectorFactory | None = None,
 ) -> Learner:
-    learner = Learner(TaskSpec.from_dict({**skill.spec().to_dict(), "seed": seed, **dict(course.settings)}))
-    for shown in _demonstrations(skill, course.demonstrations, seed):
+    spec = TaskSpec.from_dict({**skill.spec().to_dict(), "seed": seed, **dict(course.settings)})
+    learner = Learner(spec, selector=selector)
+    for shown in demonstrated(skill, course.demonstrations, seed):
         learner.report(
             state=shown.state, goal=shown.goal, cost=shown.result.cost, success=True, kind="demonstration",
             outcome=shown.result.outcome,
@@ -151,8 +158,8 @@ def _trained_learner(
     return learner
 
 
-def _demonstrations(skill: Skill, count: int, seed: int) -> Sequence[Demonstration]:
-    """Those that a run starts from.
+def demonstrated(skill: Skill, count: int, seed: int) -> Sequence[Demonstration]:
+    """The demonstrations of a seed.
 
     Raises:
         Invalid: Some are wanted, and the skill has none.
@@ -178,12 +185,21 @@ def _execute_trial(
     return str(result.info.get("reason", "success" if success else "failure"))
 
 
-def _judge(
-    skill: Skill, learner: Learner, trials: int, contexts: int, rng: Callable[[int], np.random.Generator]
+def _policy(learner: Learner) -> Callable[[Floats], Floats]:
+    return lambda states: learner.predict(states).goals
+
+
+def judge(
+    skill: Skill,
+    policy: Callable[[Floats], Floats],
+    trials: int,
+    contexts: int,
+    rng: Callable[[int], np.random.Generator],
 ) -> Score:
+    """Play a policy, states (b, d) to goals (b, p), in contexts drawn by `rng(number)`, without exploration."""
     states = np.array([judged_state(skill, context, rng(context)) for context in range(contexts)])
     try:
-        goals = learner.predict(states).goals
+        goals = policy(states)
     except NoSamples:  # without demonstrations there is no policy at first
         return Score(trials, Tally(), {"no policy": contexts})
     tally, reasons = Tally(), Counter[str]()

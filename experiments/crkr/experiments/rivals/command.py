@@ -1,0 +1,87 @@
+"""`crkr experiment rivals`: crkr beside what one would use instead, on the same trials."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Final
+
+import typer
+
+from crkr.client.cli.console import print_json, stderr
+from crkr.client.cli.options import Json
+
+if TYPE_CHECKING:
+    from crkr.experiments.rivals.comparison import Contest
+    from crkr.experiments.study.rows import Row
+    from crkr.sim_worker.skill import Skill
+
+__all__ = ["rivals"]
+
+_FILE: Final = "rivals.csv"
+
+
+def rivals(
+    only: Annotated[list[str] | None, typer.Option("--only", help="A rival's name; may be repeated.")] = None,
+    seeds: Annotated[int, typer.Option(min=1, max=10_000, help="Runs of each rival, one a seed.")] = 8,
+    first_seed: Annotated[int, typer.Option(min=0, max=2**30, help="Seed of the first run.")] = 0,
+    trials: Annotated[
+        list[int] | None, typer.Option("--trials", min=0, max=100_000, help="Judge after so many; may be repeated.")
+    ] = None,
+    contexts: Annotated[int, typer.Option(min=1, max=1_000_000, help="Fresh contexts of each judgement.")] = 300,
+    judge: Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Seed of these contexts.")] = 777,
+    demonstrations: Annotated[int, typer.Option(min=1, max=10_000, help="Demonstrations before the first trial.")] = 5,
+    launcher: Annotated[str | None, typer.Option(help="Where contexts come from, e.g. wide.")] = None,
+    environment: Annotated[str, typer.Option(help="Which simulator, e.g. contact.")] = "analytic",
+    skill: Annotated[str, typer.Option(help="A skill, or package.module:factory.")] = "table-tennis",
+    jobs: Annotated[int, typer.Option(min=1, max=256, help="Processes of this machine.")] = 2,
+    on: Annotated[str, typer.Option("--on", help="Where runs are made: here or ray, a cluster.")] = "here",
+    out: Annotated[Path | None, typer.Option(file_okay=False, help="Keep rows in rivals.csv here, and go on.")] = None,
+    json: Json = False,
+) -> None:
+    """Compare crkr with what one would use instead.
+
+    Every rival gets the same demonstrations, training contexts and judged
+    contexts, and the outcome where it can use it. With --out, runs that the
+    folder already holds are not made again.
+
+    Example: crkr experiment rivals --launcher wide --trials 100 --trials 500
+    """
+    from statistics import median
+
+    from crkr.client.cli.progress import Progress
+    from crkr.experiments.rivals.comparison import RIVALS, Contest
+    from crkr.experiments.study.rows import Rows, print_summary, summary_table
+    from crkr.protocol import Invalid
+    from crkr.sim_worker.places.places import load_places
+    from crkr.sim_worker.skill import SkillOptions
+
+    unknown = sorted(set(only or ()) - set(RIVALS))
+    if unknown:
+        raise Invalid(f"no rival {unknown[0]!r}; there are: {', '.join(RIVALS)}")
+    names = [name for name in RIVALS if not only or name in only]
+    contest = Contest(tuple(sorted(set(trials or (100, 500)))), contexts, judge, demonstrations)
+    rows, costs = Rows(out, _FILE), dict[str, list[float]]()
+    wanted = rows.missing(names, range(first_seed, first_seed + seeds), contest.marks[-1])
+    parts = [(contest, name, seed) for name, seed in wanted]
+    with Progress(stderr, "learning", len(parts), "runs") as progress:
+        options = SkillOptions(environment=environment, launcher=launcher)
+        spread = load_places(on).spread(skill, options, _compete, parts, jobs) if parts else iter(())
+        for done, (found, milliseconds) in enumerate(spread, 1):
+            rows.add(found)
+            costs.setdefault(found[0].way, []).append(milliseconds)
+            progress.show(done, f"{found[0].way}, seed {found[0].seed}", now=True)
+    table = summary_table(rows.all, names, contest.marks)
+    busy = {name: median(found) for name, found in costs.items()}
+    if json:
+        print_json([{**row, "ms": busy.get(row["way"])} for row in table])
+    else:
+        title = f"{skill}, {launcher or 'its launcher'}, {environment}, {contexts} contexts"
+        print_summary(
+            table, contest.marks, title, {"ms a trial": lambda way: f"{busy[way]:.1f}" if way in busy else ""}
+        )
+
+
+def _compete(skill: Skill, part: tuple[Contest, str, int]) -> tuple[list[Row], float]:
+    from crkr.experiments.rivals.comparison import compete
+
+    return compete(skill, *part)

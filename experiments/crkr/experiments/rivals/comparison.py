@@ -1,0 +1,72 @@
+"""Runs of rivals with the same demonstrations, training contexts and judged contexts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from time import thread_time
+from typing import Final, final
+
+from crkr.experiments.learning.run import demonstrated, judge
+from crkr.experiments.rivals.forward_models import BayesianQuadratic, RidgeQuadratic
+from crkr.experiments.rivals.policy_search import ContextualCmaEs, ContextualReps, SuccessRegression
+from crkr.experiments.rivals.rival import Crkr, Rival
+from crkr.experiments.study.rows import Row, judged_row
+from crkr.protocol import TaskSpec
+from crkr.sim_worker.randomness import fresh_rng, training_rng
+from crkr.sim_worker.skill import Skill
+
+__all__ = ["RIVALS", "Contest", "compete"]
+
+RIVALS: Final[dict[str, Callable[[TaskSpec, int], Rival]]] = {
+    "crkr": Crkr,
+    "bayesian-quadratic": BayesianQuadratic,
+    "ridge-quadratic": RidgeQuadratic,
+    "success-gp": SuccessRegression,
+    "contextual-cma-es": ContextualCmaEs,
+    "contextual-reps": ContextualReps,
+}
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Contest:
+    """What all rivals are given alike.
+
+    Attributes:
+        marks: Numbers of training trials at which the policy is judged, ascending; the last one ends a run.
+        contexts: Fresh contexts at each.
+        judge: Seed of these contexts.
+        demonstrations: Number before the first trial.
+    """
+
+    marks: tuple[int, ...]
+    contexts: int
+    judge: int
+    demonstrations: int
+
+
+def compete(skill: Skill, contest: Contest, rival: str, seed: int) -> tuple[list[Row], float]:
+    """Trains a rival, and judges it at every mark.
+
+    Returns:
+        Its rows, and the processor time of one ask and tell [ms].
+    """
+    learner = RIVALS[rival](skill.spec(), seed)
+    learner.start(demonstrated(skill, contest.demonstrations, seed))
+    rng, rows, busy = training_rng(seed, 1), list[Row](), 0.0
+    for trial in range(contest.marks[-1] + 1):
+        if trial in contest.marks:
+            score = judge(skill, learner.policy, trial, contest.contexts, lambda ball: fresh_rng(contest.judge, ball))
+            rows.append(judged_row(rival, seed, score))
+        if trial == contest.marks[-1]:
+            break
+        state = skill.reset(rng)
+        before = thread_time()
+        goal = learner.ask(state)
+        asked = thread_time()
+        result = skill.execute(goal)
+        executed = thread_time()
+        learner.tell(state, goal, result)
+        busy += thread_time() - executed + asked - before
+    return rows, 1e3 * busy / max(1, contest.marks[-1])

@@ -1,0 +1,201 @@
+"""Learn what a goal leads to, then search for the goal whose predicted outcome is on target."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final, Protocol, final
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+from sklearn.linear_model import Ridge
+from sklearn.preprocessing import PolynomialFeatures
+
+from crkr.experiments.rivals.rival import TaskScales
+from crkr.protocol import Invalid, TaskSpec
+from crkr.sim_worker.skill import Demonstration, Floats, TrialResult
+
+__all__ = ["BayesianQuadratic", "ForwardModel", "RidgeQuadratic"]
+
+STEPS: Final = 12  # of Gauss-Newton; more change no goal by a thousandth of its scale
+DAMPING: Final = 1e-6
+CLONING_RIDGE: Final = 0.1
+REFIT: Final = 1.02
+
+
+class QuadraticSurface(Protocol):
+    """Outcomes as quadratics in x, a scaled state followed by a scaled goal."""
+
+    def coefficients(self) -> tuple[Floats, Floats, Floats]:
+        """Constants (q,), slopes (q, n) and symmetric curvatures (q, n, n): y = c + b x + x A x."""
+        ...
+
+    def add(self, x: Floats, y: Floats) -> None:
+        """Takes one trial: x (n,), y (q,), NaN where not observed."""
+        ...
+
+
+class ForwardModel:
+    """A quadratic model of the outcome, inverted by Gauss-Newton around what successes had in common.
+
+    Args:
+        spec: The task; it must have outcomes.
+        seed: Of the noise that explores.
+        noise: Its standard deviation in scales of the goal.
+        trust: How many scales of a goal are as bad as one tolerance of the outcome.
+    """
+
+    def __init__(self, spec: TaskSpec, seed: int, *, noise: float, trust: float) -> None:
+        if not spec.outcome:
+            raise Invalid("a forward model needs a task with outcomes")
+        self._spec = spec
+        self._rng = np.random.default_rng(seed)
+        self._noise, self._trust = noise, trust
+        self._successes: list[tuple[Floats, Floats]] = []
+
+    def surface(self, entries: int, size: int) -> QuadraticSurface:
+        """The model's surface for so many outcome entries and inputs."""
+        raise NotImplementedError
+
+    def start(self, demonstrations: Sequence[Demonstration]) -> None:
+        """Scales everything by them, and takes them as successes."""
+        self._scales = TaskScales(self._spec, demonstrations)
+        shape = len(self._spec.outcome), len(self._spec.state) + len(self._spec.goal)
+        self._surface = self.surface(*shape)
+        for shown in demonstrations:
+            self.tell(shown.state, shown.goal, shown.result)
+
+    def ask(self, state: Floats) -> Floats:
+        """The best goal, with noise. Thompson sampling is far worse: one draw of 210 weights says nothing."""
+        unit = np.array([entry.scale for entry in self._spec.goal])
+        goal = self._search(state[None, :])[0] + self._noise * unit * self._rng.standard_normal(len(unit))
+        return np.asarray(np.clip(goal, self._scales.low, self._scales.high))
+
+    def tell(self, state: Floats, goal: Floats, result: TrialResult) -> None:
+        """Adds what was observed; successes also move the goals that are searched around."""
+        z, g = self._scales.states(state), self._scales.goals(goal)
+        if result.outcome is not None:
+            self._surface.add(np.concatenate([z, g]), self._scales.outcomes(result.outcome))
+        if result.success and result.executed:
+            self._successes.append((z, g))
+
+    def policy(self, states: Floats) -> Floats:
+        """The best goals by the mean of the surface."""
+        return self._search(states)
+
+    def _cloned(self, z: Floats) -> Floats:
+        """Behaviour cloning: a ridge regression of successful goals on states."""
+        inputs, goals = (np.array(part) for part in zip(*self._successes, strict=True))
+        model = Ridge(CLONING_RIDGE * len(inputs)).fit(inputs, goals)
+        return np.asarray(model.predict(z))
+
+    def _search(self, states: Floats) -> Floats:
+        """Gauss-Newton on outcome deviations in tolerances and distances from the cloned goal in trusted scales."""
+        z = self._scales.states(states)
+        prior = self._cloned(z)
+        constant, slope, curvature = self._surface.coefficients()
+        low, high = self._scales.bounds()
+        goals, d = np.clip(prior, low, high), z.shape[1]
+        for _ in range(STEPS):
+            x = np.concatenate([z, goals], axis=1)
+            bent = np.einsum("qij,bj->bqi", curvature, x)
+            y = constant + x @ slope.T + np.einsum("bqi,bi->bq", bent, x)
+            wrong = np.where(self._scales.side == 0, True, np.sign(y) == self._scales.side)
+            jacobian = (slope + 2 * bent)[:, :, d:] * wrong[:, :, None]
+            residual = np.where(wrong, y, 0.0)
+            normal = jacobian.transpose(0, 2, 1) @ jacobian
+            normal += (self._trust**-2 + DAMPING) * np.eye(goals.shape[1])
+            push = np.einsum("bqi,bq->bi", jacobian, residual) + (goals - prior) * self._trust**-2
+            goals = np.clip(goals - np.linalg.solve(normal, push[:, :, None])[:, :, 0], low, high)
+        return self._scales.real_goals(goals)
+
+
+def _quadratic_features(x: Floats) -> Floats:
+    """1, x and all products of two entries."""
+    rows, columns = np.triu_indices(len(x))
+    return np.concatenate([[1.0], x, x[rows] * x[columns]])
+
+
+def _split(weights: Floats, size: int) -> tuple[Floats, Floats, Floats]:
+    """Constants, slopes and curvatures of weights (q, features)."""
+    rows, columns = np.triu_indices(size)
+    curvature = np.zeros((len(weights), size, size))
+    curvature[:, rows, columns] += weights[:, 1 + size :] / 2
+    curvature[:, columns, rows] += weights[:, 1 + size :] / 2
+    return weights[:, 0], weights[:, 1 : 1 + size], curvature
+
+
+@final
+class _BayesianSurface:
+    """Bayesian linear regression on quadratic features; trials far from the target are noisier."""
+
+    def __init__(self, entries: int, size: int, noise: float, linear_sd: float, quadratic_sd: float) -> None:
+        self._size, self._noise = size, noise
+        products = size * (size + 1) // 2
+        prior = np.concatenate([[100.0], np.full(size, linear_sd), np.full(products, quadratic_sd)])
+        self._precision = np.repeat(np.diag(prior**-2.0)[None], entries, axis=0)
+        self._push = np.zeros((entries, len(prior)))
+
+    def add(self, x: Floats, y: Floats) -> None:
+        features = _quadratic_features(x)
+        seen = np.isfinite(y)
+        weights = 1 / (self._noise**2 * (1 + np.nansum(y**2)))
+        self._precision[seen] += weights * np.outer(features, features)
+        self._push[seen] += weights * np.outer(y[seen], features)
+
+    def coefficients(self) -> tuple[Floats, Floats, Floats]:
+        weights = np.empty_like(self._push)
+        for entry, (precision, push) in enumerate(zip(self._precision, self._push, strict=True)):
+            weights[entry] = cho_solve(cho_factor(precision), push)
+        return _split(weights, self._size)
+
+
+@final
+class BayesianQuadratic(ForwardModel):
+    """A global Bayesian quadratic fit of the outcome."""
+
+    def __init__(self, spec: TaskSpec, seed: int) -> None:
+        super().__init__(spec, seed, noise=0.0, trust=4.0)
+
+    def surface(self, entries: int, size: int) -> QuadraticSurface:
+        """Slopes of 5 and curvatures of 0.7 tolerances a unit are expected."""
+        return _BayesianSurface(entries, size, noise=0.3, linear_sd=5.0, quadratic_sd=0.7)
+
+
+@final
+class _RidgeSurface:
+    """scikit-learn's Ridge on PolynomialFeatures(2), fitted anew when a fiftieth more is known."""
+
+    def __init__(self, entries: int, size: int, alpha: float) -> None:
+        self._entries, self._size, self._alpha = entries, size, alpha
+        self._expand = PolynomialFeatures(2).fit(np.zeros((1, size)))
+        self._x: list[Floats] = []
+        self._y: list[Floats] = []
+        self._fitted: tuple[int, Floats] = (0, np.zeros((entries, 0)))
+
+    def add(self, x: Floats, y: Floats) -> None:
+        self._x.append(x)
+        self._y.append(y)
+
+    def coefficients(self) -> tuple[Floats, Floats, Floats]:
+        if len(self._x) >= REFIT * self._fitted[0]:
+            features, y = self._expand.transform(np.array(self._x)), np.array(self._y)
+            weights = np.zeros((self._entries, features.shape[1]))
+            for entry in range(self._entries):
+                seen = np.isfinite(y[:, entry])
+                if seen.any():
+                    model = Ridge(self._alpha, fit_intercept=False).fit(features[seen], y[seen, entry])
+                    weights[entry] = model.coef_
+            self._fitted = len(self._x), weights
+        return _split(self._fitted[1], self._size)
+
+
+@final
+class RidgeQuadratic(ForwardModel):
+    """What a practitioner writes first with scikit-learn: polynomial ridge regression, explored by noise on goals."""
+
+    def __init__(self, spec: TaskSpec, seed: int) -> None:
+        super().__init__(spec, seed, noise=0.1, trust=4.0)
+
+    def surface(self, entries: int, size: int) -> QuadraticSurface:
+        """A ridge of one."""
+        return _RidgeSurface(entries, size, alpha=1.0)

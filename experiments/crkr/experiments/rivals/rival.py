@@ -1,0 +1,125 @@
+"""The interface of everything that learns a skill by trials, crkr's learner among them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol, final
+
+import numpy as np
+
+from crkr.learner import Learner
+from crkr.protocol import TaskSpec, training_id
+from crkr.sim_worker.skill import Demonstration, Floats, TrialResult
+
+__all__ = ["Crkr", "Rival", "TaskScales"]
+
+
+class Rival(Protocol):
+    """Learns goals for states from trials, in the order that they were made.
+
+    A rival is made with a specification and a seed, both of which fix what it does. Goals are within their bounds.
+    """
+
+    def start(self, demonstrations: Sequence[Demonstration]) -> None:
+        """Takes the demonstrations, before the first trial."""
+        ...
+
+    def ask(self, state: Floats) -> Floats:
+        """The goal (p,) to try in a state (d,), with exploration."""
+        ...
+
+    def tell(self, state: Floats, goal: Floats, result: TrialResult) -> None:
+        """Takes the result of the goal that was asked for last."""
+        ...
+
+    def policy(self, states: Floats) -> Floats:
+        """The best goals (b, p) for states (b, d), without exploration; changes nothing."""
+        ...
+
+
+@final
+class TaskScales:
+    """States, goals and outcomes in units in which a task's entries are alike.
+
+    States are in the demonstrations' standard deviations around their mean (a length-scale where these say nothing),
+    goals in their scales around it, outcomes in their tolerances from the target.
+    """
+
+    def __init__(self, spec: TaskSpec, demonstrations: Sequence[Demonstration]) -> None:
+        plain = spec.to_dict()
+        self.low = np.array([entry["low"] for entry in plain["goal"]])
+        self.high = np.array([entry["high"] for entry in plain["goal"]])
+        spread = np.std([one.state for one in demonstrations], axis=0)
+        self._state_unit = np.where(spread > 0, spread, [entry["lengthscale"] for entry in plain["state"]])
+        self._goal_unit = np.array([entry["scale"] for entry in plain["goal"]])
+        self._target = np.array([entry["target"] for entry in plain["outcome"]])
+        self._tolerance = np.array([entry["tolerance"] for entry in plain["outcome"]])
+        # Which side of the target is wrong: both (0), below (-1) or above (+1).
+        self.side = np.array([{"equal": 0, "at_least": -1, "at_most": 1}[entry["aim"]] for entry in plain["outcome"]])
+        self._state_mean = np.mean([one.state for one in demonstrations], axis=0)
+        self._goal_mean = np.mean([one.goal for one in demonstrations], axis=0)
+
+    def states(self, states: Floats) -> Floats:
+        """Scaled states of the same shape."""
+        scaled: Floats = (states - self._state_mean) / self._state_unit
+        return scaled
+
+    def goals(self, goals: Floats) -> Floats:
+        """Scaled goals of the same shape."""
+        scaled: Floats = (goals - self._goal_mean) / self._goal_unit
+        return scaled
+
+    def bounds(self) -> tuple[Floats, Floats]:
+        """Lower and upper bounds (p,) of scaled goals."""
+        return self.goals(self.low), self.goals(self.high)
+
+    def real_goals(self, scaled: Floats) -> Floats:
+        """Goals of scaled ones, clipped to their bounds."""
+        clipped: Floats = np.clip(self._goal_mean + scaled * self._goal_unit, self.low, self.high)
+        return clipped
+
+    def outcomes(self, outcome: Floats) -> Floats:
+        """Deviations from the target (q,) in tolerances; NaN stays."""
+        scaled: Floats = (outcome - self._target) / self._tolerance
+        return scaled
+
+
+@final
+class Crkr:
+    """crkr's own learner, as a worker uses it."""
+
+    def __init__(self, spec: TaskSpec, seed: int) -> None:
+        self._learner = Learner(TaskSpec.from_dict({**spec.to_dict(), "seed": seed}))
+        self._seed = seed
+        self._trials = 0
+
+    def start(self, demonstrations: Sequence[Demonstration]) -> None:
+        """Reports them as such."""
+        for shown in demonstrations:
+            result = shown.result
+            self._learner.report(
+                state=shown.state, goal=shown.goal, cost=result.cost, success=True, kind="demonstration",
+                outcome=result.outcome,
+            )  # fmt: skip
+
+    def ask(self, state: Floats) -> Floats:
+        """The goal of an exploring prediction."""
+        self._trials += 1
+        trial_id = training_id(self._learner.spec.name, self._seed, 1, self._trials)
+        self._answer = self._learner.predict(state, explore=True, trial_ids=trial_id)
+        goals: Floats = self._answer.goals
+        return goals
+
+    def tell(self, state: Floats, goal: Floats, result: TrialResult) -> None:
+        """Reports the trial."""
+        del state, goal  # Unused: they are the answer's.
+        kind = "trial" if result.executed else "failed"
+        self._learner.report(
+            self._answer, cost=result.cost, success=result.success and result.executed, kind=kind,
+            outcome=result.outcome, learn=result.learn if result.executed else None,
+        )  # fmt: skip
+
+    def policy(self, states: Floats) -> Floats:
+        """Means of the regression, moved by outcomes where the task has them."""
+        goals: Floats = self._learner.predict(states).goals
+        return goals

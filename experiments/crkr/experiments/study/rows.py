@@ -1,0 +1,150 @@
+"""Judged policies as rows of a CSV file, to which a comparison adds until it is complete, and their summary."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any, Final, final
+
+import numpy as np
+from scipy.stats import trim_mean
+
+from crkr.client.cli.console import print_table, stdout
+from crkr.experiments.learning.run import Score
+from crkr.protocol import Invalid
+
+__all__ = ["Row", "Rows", "Summary", "judged_row", "print_summary", "summarise", "summary_table"]
+
+RESAMPLES: Final = 2000
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One policy, judged once.
+
+    Attributes:
+        way: What learned it, e.g. a rival's name.
+        seed: Of demonstrations, training contexts and exploration.
+        trials: Training trials that it had learned from.
+        successes: Judged contexts that succeeded by the last, strictest criterion of the skill.
+        contexts: Judged contexts.
+    """
+
+    way: str
+    seed: int
+    trials: int
+    successes: int
+    contexts: int
+
+
+def judged_row(way: str, seed: int, score: Score) -> Row:
+    """The row of a score."""
+    strictest = list(score.tally.criteria)[-1]
+    return Row(way, seed, score.trials, score.tally.successes.get(strictest, 0), score.contexts)
+
+
+@final
+class Rows:
+    """The rows of a comparison; with a folder they are kept in its file, and runs in it are not made again."""
+
+    def __init__(self, folder: Path | None, name: str) -> None:
+        self._path = None if folder is None else folder / name
+        if folder is not None:
+            folder.mkdir(parents=True, exist_ok=True)
+        self.all: list[Row] = [] if self._path is None else _read(self._path)
+
+    def missing(self, ways: Iterable[str], seeds: Iterable[int], last: int) -> Iterator[tuple[str, int]]:
+        """Ways and seeds whose run up to `last` trials is not there yet."""
+        there = {(row.way, row.seed) for row in self.all if row.trials == last}
+        names = tuple(ways)
+        return ((way, seed) for seed in seeds for way in names if (way, seed) not in there)
+
+    def add(self, rows: Sequence[Row]) -> None:
+        """Keeps the rows of one run."""
+        self.all += rows
+        if self._path is None:
+            return
+        new = not self._path.exists()
+        with self._path.open("a", newline="", encoding="utf-8") as file:
+            writer = csv.DictWriter(file, [entry.name for entry in fields(Row)])
+            if new:
+                writer.writeheader()
+            writer.writerows(asdict(row) for row in rows)
+
+
+def _read(path: Path) -> list[Row]:
+    """The rows of a CSV file; none where there is no file.
+
+    Raises:
+        Invalid: It has other columns or values.
+    """
+    if not path.exists():
+        return []
+    with path.open(newline="", encoding="utf-8") as file:
+        reader = csv.DictReader(file)
+        if reader.fieldnames != [entry.name for entry in fields(Row)]:
+            raise Invalid(f"{path} holds another experiment; choose another folder for --out")
+        try:
+            return [
+                Row(row["way"], *(int(row[name]) for name in ("seed", "trials", "successes", "contexts")))
+                for row in reader
+            ]
+        except (TypeError, ValueError) as error:
+            raise Invalid(f"{path}: a row cannot be read ({error}); remove it or choose another folder") from error
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """One way at one mark, over its seeds.
+
+    Attributes:
+        mean: Interquartile mean of the success rates.
+        low: Of its 95 % interval, by the stratified bootstrap.
+        high: Likewise.
+        worst: Least rate.
+        seeds: Number of runs.
+    """
+
+    mean: float
+    low: float
+    high: float
+    worst: float
+    seeds: int
+
+
+def summarise(rows: Sequence[Row], way: str, trials: int) -> Summary:
+    """Summarises the rows of one way at a mark, of which there is at least one."""
+    rates = np.array([row.successes / row.contexts for row in rows if (row.way, row.trials) == (way, trials)])
+    rng = np.random.default_rng(0)
+    resampled = trim_mean(rng.choice(rates, (RESAMPLES, len(rates))), 0.25, axis=1)
+    low, high = np.quantile(resampled, [0.025, 0.975])
+    return Summary(float(trim_mean(rates, 0.25)), float(low), float(high), float(rates.min()), len(rates))
+
+
+def summary_table(rows: Sequence[Row], ways: Iterable[str], marks: Iterable[int]) -> list[dict[str, Any]]:
+    """Each way's summary at each mark that it was judged at."""
+    there = {(row.way, row.trials) for row in rows}
+    wanted = tuple(marks)
+    return [
+        {"way": way, "marks": {mark: summarise(rows, way, mark) for mark in wanted if (way, mark) in there}}
+        for way in ways
+    ]
+
+
+def print_summary(
+    table: Sequence[Mapping[str, Any]], marks: Sequence[int], title: str, extra: Mapping[str, Callable[[str], str]]
+) -> None:
+    """Prints the table, with columns of their own for `extra`, heading -> cell of a way."""
+    stdout.print(f"{title}: interquartile mean of success [95 % interval], worst run")
+    lines = []
+    for row in table:
+        cells = [
+            "" if one is None else f"{one.mean:.3f} [{one.low:.3f}, {one.high:.3f}], {one.worst:.3f}"
+            for one in map(row["marks"].get, marks)
+        ]
+        lines.append((row["way"], *cells, *(cell(row["way"]) for cell in extra.values())))
+    print_table(("way", *(f"after {mark}" for mark in marks), *extra), lines)

@@ -1,0 +1,178 @@
+"""Rival rules for the active set: each is a function of all samples, taken anew after every change."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from hashlib import blake2b
+from typing import Final, final
+
+import numpy as np
+from scipy.spatial.distance import cdist
+
+from crkr.learner import SELECTORS, SelectorFactory
+from crkr.learner.selection.selector import Radii, Standing
+from crkr.sim_worker.skill import Floats
+
+__all__ = ["RIVAL_SELECTORS", "Rule", "RuleSelector"]
+
+Indices = np.ndarray[tuple[int], np.dtype[np.intp]]
+Rule = Callable[[Floats, Floats, int], "Indices"]
+"""Positions of at most `budget` of n > budget samples, states Z (n, d) and costs (n,) in order of arrival."""
+
+NEAREST: Final = 3  # better samples that novelty is measured from
+NOISE_FLOOR: Final = 1e-4
+
+
+@final
+class RuleSelector:
+    """A `Selector` that applies a rule to all its samples; a change costs what the rule does."""
+
+    def __init__(self, dimensions: int, budget: int, rule: Rule) -> None:
+        self._budget, self._rule = budget, rule
+        self._Z, self._costs = np.empty((0, dimensions)), np.empty(0)
+        self._there = np.empty(0, bool)
+        self._active: Indices | None = None
+
+    @property
+    def active(self) -> Indices:
+        """Numbers of the active samples, ascending."""
+        if self._active is None:
+            numbers = np.flatnonzero(self._there)
+            if len(numbers) > self._budget:
+                numbers = numbers[np.sort(self._rule(self._Z[numbers], self._costs[numbers], self._budget))]
+            numbers.flags.writeable = False
+            self._active = numbers
+        return self._active
+
+    def extend(self, Z: Floats, costs: Floats) -> None:
+        """Adds samples."""
+        self._Z, self._costs = np.concatenate([self._Z, Z]), np.concatenate([self._costs, costs])
+        self._there = np.concatenate([self._there, np.ones(len(costs), bool)])
+        self._active = None
+
+    def remove(self, indices: Indices | int) -> None:
+        """Forgets samples."""
+        self._there[indices] = False
+        self._active = None
+
+    def recost(self, indices: Indices | int, costs: Floats | float) -> None:
+        """Changes costs."""
+        self._costs[indices] = costs
+        self._active = None
+
+    def rebuild(self, Z: Floats, costs: Floats, radii: Radii | None = None) -> None:
+        """Takes these samples instead."""
+        del radii  # Unused: there are none.
+        self._Z, self._costs, self._there = Z.copy(), costs.copy(), np.ones(len(costs), bool)
+        self._active = None
+
+    def set_budget(self, budget: int) -> None:
+        """Changes how many samples may be active."""
+        self._budget = budget
+        self._active = None
+
+    def standing(self, index: int) -> Standing:
+        """Nothing is known of single samples."""
+        del index  # Unused.
+        return Standing(None, None)
+
+    def radii(self) -> None:
+        """Nothing need be kept."""
+
+
+def recency(Z: Floats, costs: Floats, budget: int) -> Indices:
+    """The newest samples."""
+    del Z  # Unused.
+    return np.arange(len(costs) - budget, len(costs))
+
+
+def reservoir(Z: Floats, costs: Floats, budget: int) -> Indices:
+    """A uniform random choice that new samples enter with the right chance: the least hashes of states."""
+    del costs  # Unused.
+    keys = [blake2b(row.tobytes(), digest_size=8).digest() for row in np.ascontiguousarray(Z)]
+    return np.array(sorted(range(len(keys)), key=keys.__getitem__)[:budget])
+
+
+def lowest_cost(Z: Floats, costs: Floats, budget: int) -> Indices:
+    """The cheapest samples, older ones first where costs are equal."""
+    del Z  # Unused.
+    return np.argsort(costs, kind="stable")[:budget]
+
+
+def farthest_point(Z: Floats, costs: Floats, budget: int) -> Indices:
+    """Greedily the sample farthest from those chosen, from the oldest on: coverage without costs."""
+    del costs  # Unused.
+    chosen, distance = [0], cdist(Z[:1], Z)[0]
+    for _ in range(budget - 1):
+        chosen.append(int(np.argmax(distance)))
+        distance = np.minimum(distance, cdist(Z[chosen[-1:]], Z)[0])
+    return np.array(chosen)
+
+
+def cover(Z: Floats, costs: Floats, budget: int) -> Indices:
+    """The cheapest samples that are no nearer to each other than a radius, the least one that keeps to the budget."""
+    order = np.argsort(costs, kind="stable")
+    apart = cdist(Z[order], Z[order])
+
+    def kept(radius: float) -> Indices:
+        free, found = np.ones(len(order), bool), list[int]()
+        while free.any():
+            position = int(np.argmax(free))
+            found.append(position)
+            free &= apart[position] > radius
+            free[position] = False
+        return order[found]
+
+    low, high = 0.0, float(apart.max())
+    for _ in range(20):
+        middle = (low + high) / 2
+        low, high = (low, middle) if len(kept(middle)) <= budget else (middle, high)
+    return kept(high)[:budget]
+
+
+def information_gain(Z: Floats, costs: Floats, budget: int) -> Indices:
+    """Greedily the sample with the largest variance for its noise, by a pivoted Cholesky factorisation.
+
+    The noise of a sample is its cost, as in Cost-regularized Kernel Regression with lambda of one.
+    """
+    noise = costs + NOISE_FLOOR
+    variance, factor = np.ones(len(Z)), np.zeros((budget, len(Z)))
+    chosen: list[int] = []
+    for step in range(budget):
+        gain = variance / noise
+        gain[chosen] = -1.0
+        best = int(np.argmax(gain))
+        chosen.append(best)
+        row = np.exp(-0.5 * cdist(Z[best : best + 1], Z, "sqeuclidean")[0])
+        row -= factor[:step].T @ factor[:step, best]
+        factor[step] = row / np.sqrt(variance[best] + noise[best])
+        variance = np.maximum(variance - factor[step] ** 2, 0.0)
+    return np.array(chosen)
+
+
+def dominated_novelty(Z: Floats, costs: Floats, budget: int) -> Indices:
+    """Samples that are far, on the mean, from their three nearest better ones."""
+    order = np.argsort(costs, kind="stable")
+    apart = cdist(Z[order], Z[order])
+    apart[np.triu_indices(len(order))] = np.inf  # worse ones, and itself
+    nearest = np.sort(apart, axis=1)[:, :NEAREST]
+    finite = np.isfinite(nearest)
+    novelty = np.where(finite, nearest, 0.0).sum(axis=1) / np.maximum(finite.sum(axis=1), 1)
+    novelty[0] = np.inf  # nothing is better than the best
+    return order[np.argsort(-novelty, kind="stable")[:budget]]
+
+
+RULES: Final[Mapping[str, Rule]] = {
+    "recency": recency,
+    "reservoir": reservoir,
+    "lowest-cost": lowest_cost,
+    "farthest-point": farthest_point,
+    "cover": cover,
+    "information-gain": information_gain,
+    "dominated-novelty": dominated_novelty,
+}
+RIVAL_SELECTORS: Final[Mapping[str, SelectorFactory]] = {
+    **SELECTORS,
+    **{name: partial(RuleSelector, rule=rule) for name, rule in RULES.items()},
+}

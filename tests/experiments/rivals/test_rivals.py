@@ -1,0 +1,76 @@
+"""Every rival keeps one contract, and those that use outcomes learn what those without cannot."""
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer import Typer
+from typer.testing import CliRunner
+
+from crkr.experiments.rivals.command import rivals
+from crkr.experiments.rivals.comparison import RIVALS, Contest, compete
+from crkr.protocol import Invalid
+from crkr.sim_worker.skill import SkillOptions
+from crkr.sim_worker.table_tennis.table_tennis import TableTennis
+
+CONTEST = Contest(marks=(0, 12), contexts=8, judge=5, demonstrations=5)
+
+
+@pytest.fixture
+def skill() -> TableTennis:
+    return TableTennis(SkillOptions(environment="analytic"), traces=False)
+
+
+@pytest.mark.parametrize("name", RIVALS)
+def test_a_rival_answers_within_bounds_and_repeats_by_its_seed(name: str, skill: TableTennis) -> None:
+    spec = skill.spec()
+    low, high = (np.array([getattr(entry, side) for entry in spec.goal]) for side in ("low", "high"))
+
+    def goals() -> np.ndarray:
+        rival = RIVALS[name](spec, 3)
+        rival.start(skill.demonstrations(5, np.random.default_rng(1)))
+        rng, asked = np.random.default_rng(2), []
+        for _ in range(42):  # more than a batch of each
+            state = skill.reset(rng)
+            goal = rival.ask(state)
+            rival.tell(state, goal, skill.execute(goal))
+            asked.append(goal)
+        states = np.array([skill.reset(rng) for _ in range(7)])
+        before = rival.policy(states)
+        np.testing.assert_array_equal(rival.policy(states), before)
+        assert before.shape == (7, len(spec.goal))
+        return np.concatenate([asked, before])
+
+    found = goals()
+    assert np.all((found >= low) & (found <= high))
+    np.testing.assert_array_equal(goals(), found)
+
+
+@pytest.mark.parametrize("name", RIVALS)
+def test_a_run_is_judged_at_every_mark_on_the_same_contexts(name: str, skill: TableTennis) -> None:
+    rows, milliseconds = compete(skill, CONTEST, name, seed=4)
+    assert [(row.way, row.seed, row.trials, row.contexts) for row in rows] == [(name, 4, 0, 8), (name, 4, 12, 8)]
+    assert milliseconds > 0
+    assert compete(skill, CONTEST, name, seed=4)[0] == rows
+
+
+def test_a_study_goes_on_where_it_stopped(tmp_path: Path) -> None:
+    app = Typer()
+    app.command()(rivals)
+    words = ["--trials", "5", "--contexts", "5", "--only", "success-gp", "--jobs", "1", "--out", str(tmp_path)]
+    first = CliRunner().invoke(app, [*words, "--seeds", "1", "--json"])
+    assert first.exit_code == 0, first.output
+    again = CliRunner().invoke(app, [*words, "--seeds", "2"])
+    assert again.exit_code == 0, again.output
+    assert "success-gp" in again.stdout
+    with (tmp_path / "rivals.csv").open(newline="") as file:
+        assert [row["seed"] for row in csv.DictReader(file)] == ["0", "1"]
+
+
+def test_an_unknown_rival_lists_the_known_ones() -> None:
+    app = Typer()
+    app.command()(rivals)
+    error = CliRunner().invoke(app, ["--only", "sac"]).exception
+    assert isinstance(error, Invalid)
+    assert "no rival 'sac'; there are: crkr, bayesian-quadratic" in str(error)

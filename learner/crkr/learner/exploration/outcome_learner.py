@@ -79,10 +79,11 @@ class OutcomeLearner:
         new = len(self._index.usable(rows))
         if not new:
             return
+        before = self._index.snapshot()
         self._index.extend(rows)
         if self._deferred is not None:
             self._record, self._deferred = self._deferred.record(), None
-        self._record.extend(self._steps(new))
+        self._record.extend(self._steps(new, before))
         self._renew(self._record.calibration)
 
     def remove(self, rows: Sequence[int]) -> None:
@@ -118,8 +119,10 @@ class OutcomeLearner:
         changed = self._restarts > 0
         self.explorer = self.explorer.with_trials(self._index.snapshot(), calibration, changed=changed)
 
-    def _steps(self, count: int) -> list[tuple[ObservedTrials, ObservedTrials]]:
-        """What was at hand before and after each of the newest trials."""
-        end = len(self._index)
-        views = [self._index.before(position) for position in range(end - count, end + 1)]
-        return list(pairwise(views))
+    def _steps(self, count: int, first: ObservedTrials | None = None) -> list[tuple[ObservedTrials, ObservedTrials]]:
+        """What was at hand before and after each of the newest trials; `first` is what was before all of them."""
+        if not count:
+            return []
+        start, end = len(self._index) - count, len(self._index)
+        between = (self._index.before(position) for position in range(start + 1, end))
+        return list(pairwise([first or self._index.before(start), *between, self._index.snapshot()]))

@@ -28,7 +28,7 @@ from crkr.protocol import MOST_NEIGHBOURS, Array
 __all__ = ["OutcomeModel", "Prospect"]
 
 # Constants found on logs of several tasks; see docs/outcomes.md. Outcomes are in tolerances, steps in the metric.
-_OUTCOME: Final = StepKernel(constant=900.0, linear=100.0, bend=100.0, reach=5.0, noise=0.2)
+_OUTCOME: Final = StepKernel(constant=900.0, linear=100.0, bend=100.0, reach=5.0, noise=0.05)
 _SHARE_OF_SIZE: Final = 0.0025  # of an outcome's square that is noise: far misses say little of what is near the target
 _REFUSAL: Final = StepKernel(constant=4.0, linear=1.0, bend=4.0, reach=2.0, noise=0.1)
 _REFUSED: Final = -2.0

@@ -7,17 +7,20 @@ from bisect import bisect_right
 from collections import Counter, deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from itertools import takewhile
 from typing import Any, Final, final
 
 from crkr.client.tally import Tally, stated_epoch, success_by_criterion
 from crkr.dashboard.predictions import PredictionRecord
 from crkr.protocol import StoredTrial
 
-__all__ = ["WINDOW", "EpochResult", "Progress", "Row", "Window"]
+__all__ = ["PACE_S", "WINDOW", "EpochResult", "Pace", "Progress", "Row", "Window"]
 
 WINDOW: Final = 50  # training trials in a running mean: the paper's epoch
 QUIET_S: Final = 3.0  # without a new ball, after which an evaluation is over
 MAX_EPOCHS: Final = 2000  # kept; the oldest that are over are dropped
+PACE_S: Final = 60.0  # over which trials per second are counted
+MOST_TIMES: Final = 4096
 MAX_NAMES: Final = 24  # reasons, criteria and workers; later ones count as "other"
 
 
@@ -126,6 +129,35 @@ class Window:
 
 
 @final
+class Pace:
+    """Training trials per second by the times at which the server stored them.
+
+    So it is right for a display that joins late and reads a long log at once, and it falls to 0 after the end.
+    """
+
+    def __init__(self) -> None:
+        self._times: deque[float] = deque(maxlen=MOST_TIMES)
+        self._first: float | None = None
+
+    def add(self, moment: float) -> None:
+        """Note a training trial and when it was stored [unix s]."""
+        self._first = moment if self._first is None else self._first
+        self._times.append(moment)
+
+    def rate(self, now: float) -> float:
+        """The rate over the last minute [1/s].
+
+        Args:
+            now: The present time by the server's clock [unix s].
+        """
+        recent = list(takewhile(lambda moment: moment > now - PACE_S, reversed(self._times)))
+        if not recent or self._first is None:
+            return 0.0
+        begun = recent[-1] if len(recent) == MOST_TIMES else max(now - PACE_S, self._first)
+        return len(recent) / max(now - begun, 1.0)
+
+
+@final
 class Progress:
     """Counts of a run; each trial is added once, in the order of seq.
 
@@ -142,6 +174,7 @@ class Progress:
         criteria: Names of what counts as success, in order of appearance.
         epochs: Evaluations by epoch; one that states no epoch was made by hand and counts by kind only.
         window: The last 50 training trials.
+        pace: How quickly they come.
         predictions: What was expected of the last 200 training trials, and what came of it.
     """
 
@@ -156,6 +189,7 @@ class Progress:
         self.criteria: list[str] = []
         self.epochs: dict[int, EpochResult] = {}
         self.window = Window(WINDOW)
+        self.pace = Pace()
         self.predictions = PredictionRecord()
         self._training = array("q")  # log positions of the training trials: 8 bytes each, also after a million
 
@@ -171,6 +205,7 @@ class Progress:
         self.seq = stored.seq
         if trains:
             self.trials += 1
+            self.pace.add(stored.time)
             self._training.append(stored.seq)
         self.kinds[trial.kind] += 1
         worker = _known(self.workers, trial.worker or "")

@@ -2,15 +2,27 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, final
 
 from crkr.dashboard.progress import Progress
 
-__all__ = ["WorkerFacts", "advice_lines", "drift_score", "latency_ms", "percent", "reason_rows", "speed", "worker_rows"]
+__all__ = [
+    "WorkerFacts",
+    "advice_lines",
+    "drift_score",
+    "latency_ms",
+    "percent",
+    "reason_rows",
+    "recent_workers",
+    "server_time",
+    "worker_rows",
+]
 
 UNKNOWN: Final = "unknown"
+GONE_S: Final = 600.0
 
 
 @final
@@ -92,12 +104,21 @@ def latency_ms(status: Mapping[str, Any]) -> dict[str, tuple[float, float]]:
     return found
 
 
-def speed(counts: Sequence[tuple[float, int]]) -> float:
-    """Mean rate [1/s] between the first and the last (time [s], count); 0 where there is no time between."""
-    if not counts or counts[-1][0] <= counts[0][0]:
-        return 0.0
-    (start, before), (end, after) = counts[0], counts[-1]
-    return (after - before) / (end - start)
+def server_time(status: Mapping[str, Any], age_s: float) -> float:
+    """The present time by the server's clock [unix s]; by this machine's where an older server does not tell.
+
+    Args:
+        status: The server's answer.
+        age_s: Its age [s].
+    """
+    told = status.get("time")
+    return float(told) + age_s if isinstance(told, int | float) else time.time()
+
+
+def recent_workers(workers: Sequence[WorkerFacts], most: int) -> tuple[list[WorkerFacts], int]:
+    """At most `most` workers that are alive or were heard in the last ten minutes, and how many others there are."""
+    shown = [worker for worker in workers if worker.state == "alive" or (worker.quiet_s or 0.0) < GONE_S][:most]
+    return shown, len(workers) - len(shown)
 
 
 def percent(share: float | None) -> str:

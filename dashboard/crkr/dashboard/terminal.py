@@ -15,7 +15,15 @@ from rich.table import Column, Table
 from rich.text import Text
 
 from crkr.dashboard.progress import EpochResult, Progress, Row
-from crkr.dashboard.status_facts import advice_lines, latency_ms, percent, reason_rows, speed, worker_rows
+from crkr.dashboard.status_facts import (
+    advice_lines,
+    latency_ms,
+    percent,
+    reason_rows,
+    recent_workers,
+    server_time,
+    worker_rows,
+)
 from crkr.dashboard.telemetry import Telemetry
 from crkr.protocol import printable
 
@@ -62,7 +70,6 @@ class TerminalDisplay:
         self._status: Mapping[str, Any] = {}
         self._answered = 0.0
         self._messages: deque[str] = deque(maxlen=MESSAGES)
-        self._speed: deque[tuple[float, int]] = deque(maxlen=20)
         self._next = 0.0
         self._said = -1
 
@@ -107,7 +114,6 @@ class TerminalDisplay:
         """Redraw the tables, or print a line when there is something new."""
         if now < self._next:
             return
-        self._speed.append((now, progress.trials))
         if self._replayed:
             self._next = now + RENEW_EVERY_S
         elif self._live is not None:
@@ -116,7 +122,7 @@ class TerminalDisplay:
         elif progress.seq != self._said:
             self._next = now + LINE_EVERY_S
             self._said = progress.seq
-            self._console.print(self._line(progress))
+            self._console.print(self._line(progress, now))
 
     def finish(self, progress: Progress) -> None:
         """Show the end of the run."""
@@ -137,7 +143,7 @@ class TerminalDisplay:
             self._server(),
         ]
         shown = [table for table in tables if table.row_count]
-        head, about = _text(self._line(progress), "bold"), _text(self._description, "dim")
+        head, about = _text(self._line(progress, now), "bold"), _text(self._description, "dim")
         advice = [_text(f"advice: {line}", "yellow") for line in advice_lines(self._status)]
         return Panel(
             Group(head, about, *advice, Text(), Columns(shown, padding=(0, 3)), *map(_text, self._messages)),
@@ -145,15 +151,19 @@ class TerminalDisplay:
             title_align="left",
         )
 
-    def _line(self, progress: Progress) -> str:
+    def _line(self, progress: Progress, now: float) -> str:
         status = self._status
         rates = {name: progress.window.rate(name) for name in progress.criteria}
         success = ", ".join(f"{name} {percent(rate)}" for name, rate in rates.items() if rate is not None)
         return printable(
-            f"training trials {progress.trials}  {speed(self._speed):.1f}/s  epoch {progress.epoch}  "
+            f"training trials {progress.trials}  {progress.pace.rate(self._clock(now)):.1f}/s  epoch {progress.epoch}  "
             f"active {status.get('active', '-')} of {status.get('eligible', '-')} samples"
             + (f"  last 50: {success}" if len(progress.window) else "")
         )
+
+    def _clock(self, now: float) -> float:
+        """The server's clock; of a stored run, whose times `now` is, that clock itself."""
+        return now if self._replayed else server_time(self._status, now - self._answered)
 
     def _success(self, progress: Progress) -> Table:
         table = _table("evaluation", "by epoch", "first", "newest", "95 % interval")
@@ -187,9 +197,12 @@ class TerminalDisplay:
 
     def _workers(self, progress: Progress, now: float) -> Table:
         table = _table("worker", "state", "reported", "last heard")
-        for worker in worker_rows(self._status, progress, now - self._answered)[:12]:
+        shown, others = recent_workers(worker_rows(self._status, progress, now - self._answered), 12)
+        for worker in shown:
             quiet = "" if worker.quiet_s is None else f"{worker.quiet_s:.0f} s"
             table.add_row(_text(worker.name), _text(worker.state), str(worker.trials), quiet)
+        if others:
+            table.add_row(_text(f"{others} more"), _text("gone"), "", "")
         return table
 
     def _server(self) -> Table:

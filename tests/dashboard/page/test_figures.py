@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from crkr.client.tally import wilson_interval
-from crkr.dashboard.page.figures import FIRST_WIDTH, KEPT, RATE_S, SPANS, Figures, Spans
+from crkr.dashboard.page.figures import FIRST_WIDTH, KEPT, SPANS, Figures, Spans
 from crkr.protocol import StoredTrial, TaskSpec
 
 Make = Callable[..., StoredTrial]
@@ -84,34 +84,6 @@ def test_more_reasons_than_have_room_count_as_other(spec: TaskSpec, stored: Make
     assert shares["other"][-1] == 1.0
 
 
-def rated(spec: TaskSpec, stored: Make, count: int, every_s: float) -> Figures:
-    def at(seq: int) -> StoredTrial:
-        made = stored(seq)
-        return StoredTrial(made.trial, seq, 1000.0 + every_s * seq)
-
-    return filled(spec, [at(seq) for seq in range(1, count + 1)], page=1000)
-
-
-@pytest.mark.parametrize("every_s", [0.01, 0.1, 2.0])
-def test_a_rate_is_right_for_a_page_that_joins_late(spec: TaskSpec, stored: Make, every_s: float) -> None:
-    figures = rated(spec, stored, 12_000, every_s)
-    assert figures.last is not None
-    assert figures.rate(figures.last) == pytest.approx(1 / every_s, rel=0.05)
-
-
-def test_a_rate_falls_to_nothing_after_the_end(spec: TaskSpec, stored: Make) -> None:
-    figures = rated(spec, stored, 2000, 0.1)
-    assert figures.last is not None
-    assert figures.rate(figures.last + RATE_S / 2) == pytest.approx(5.0, rel=0.05)
-    assert figures.rate(figures.last + RATE_S) == 0.0
-
-
-def test_a_rate_is_right_a_moment_after_the_beginning(spec: TaskSpec, stored: Make) -> None:
-    figures = rated(spec, stored, 50, 0.1)
-    assert figures.last is not None
-    assert figures.rate(figures.last) == pytest.approx(10.0, rel=0.05)
-
-
 def test_only_the_newest_trials_are_kept_one_by_one(spec: TaskSpec, stored: Make) -> None:
     figures = filled(spec, [stored(seq, success=seq > 100) for seq in range(1, KEPT + 101)], page=1000)
     assert len(figures.newest) == KEPT
@@ -122,4 +94,3 @@ def test_an_empty_run_has_empty_curves(spec: TaskSpec) -> None:
     figures: Any = Figures(spec)
     assert len(figures.cost().trials) == 0
     assert figures.reasons()[1] == {}
-    assert figures.rate(1e9) == 0.0

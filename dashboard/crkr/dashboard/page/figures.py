@@ -25,7 +25,6 @@ SPANS: Final = 240  # spans of trials before they are joined in pairs
 FIRST_WIDTH: Final = 5  # trials of a span
 COSTS: Final = 25  # cells of [0, 1], of which the middle and the spread of costs are read
 KEPT: Final = 4000  # newest training trials that are kept one by one
-RATE_S: Final = 60.0  # over which trials per second are counted
 
 
 @final
@@ -102,7 +101,6 @@ class Newest:
         self._states = np.zeros((KEPT, len(spec.state)))
         self._outcomes = np.full((KEPT, len(spec.outcome)), np.nan)
         self._success = np.zeros(KEPT, dtype=bool)
-        self._times = np.zeros(KEPT)
         self._added = 0
 
     def add(self, row: Row) -> None:
@@ -110,7 +108,6 @@ class Newest:
         trial, place = row.stored.trial, self._added % KEPT
         self._states[place] = trial.state
         self._success[place] = trial.success
-        self._times[place] = row.stored.time
         self._outcomes[place] = np.nan if trial.outcome is None else trial.outcome
         self._added += 1
 
@@ -132,11 +129,6 @@ class Newest:
         """(n,)."""
         return self._success[: len(self)]
 
-    @property
-    def times(self) -> Floats:
-        """(n,) when they were stored [unix s]."""
-        return self._times[: len(self)]
-
 
 @final
 class Figures:
@@ -149,7 +141,6 @@ class Figures:
         spec: Of the task.
         progress: Counts of the run; it numbers the trials that are added here.
         newest: The newest training trials.
-        first: When the first training trial was stored [unix s]; None before.
         last: When the newest was [unix s].
         heard: When each worker's newest trial was stored [unix s].
     """
@@ -158,7 +149,6 @@ class Figures:
         self.spec = spec
         self.progress = Progress(running=False) if progress is None else progress
         self.newest = Newest(spec)
-        self.first: float | None = None
         self.last: float | None = None
         self.heard: dict[str, float] = {}
         self._spans = Spans(sum(_COLUMNS.values()))
@@ -171,7 +161,6 @@ class Figures:
         trained = [row for row in rows if row.kind in ("trial", "failed")]
         if not trained:
             return
-        self.first = trained[0].stored.time if self.first is None else self.first
         self.last = trained[-1].stored.time
         for row in trained[-KEPT:]:
             self.newest.add(row)
@@ -213,21 +202,6 @@ class Figures:
         order = sorted(range(len(self._reasons)), key=lambda place: -totals[place])
         whole = np.maximum(counts[:, _REASON:].sum(axis=1), 1)
         return ends, {self._reasons[place]: counts[:, _REASON + place] / whole for place in order}
-
-    def rate(self, now: float) -> float:
-        """Training trials per second by the times at which they were stored: over the last minute, and 0 after the end.
-
-        Args:
-            now: The present time by the server's clock [unix s].
-        """
-        times = self.newest.times
-        recent = times[times > now - RATE_S]
-        if len(recent) < 2:
-            return len(recent) / RATE_S
-        if len(recent) == KEPT:
-            return float(KEPT / (recent.max() - recent.min() or RATE_S))
-        begun = now - RATE_S if self.first is not None and self.first < now - RATE_S else float(recent.min())
-        return float(len(recent) / max(now - begun, 1.0))
 
 
 # What is counted in each span, and in which columns.

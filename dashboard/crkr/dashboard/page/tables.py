@@ -33,7 +33,7 @@ def tiles(figures: Figures, status: Mapping[str, Any], now: float) -> Element:
             low, high = newest.tally.interval(name)
             said = f"{percent(low)} to {percent(high)}, {newest.balls} contexts"
             shown.append((f"evaluation: {name}", percent(newest.tally.rate(name)), said))
-    rate = figures.rate(now)
+    rate = progress.pace.rate(now)
     pace = f"{number(rate, 2)} per s" if rate >= 1 else f"{number(60 * rate, 2)} per min" if rate > 0 else "none lately"
     shown.append(("training trials", number(progress.trials), pace))
     if isinstance(status.get("active"), int) and isinstance(status.get("eligible"), int):

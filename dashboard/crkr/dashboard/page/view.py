@@ -11,6 +11,7 @@ from crkr.dashboard.page.figures import Figures
 from crkr.dashboard.page.film import Film
 from crkr.dashboard.page.markup import Element, number, tag
 from crkr.dashboard.progress import EpochResult, Progress, Row
+from crkr.dashboard.status_facts import server_time
 from crkr.dashboard.telemetry import Telemetry
 from crkr.protocol import TaskSpec
 
@@ -78,15 +79,10 @@ class PageView:
         """The run is followed again after a pause; `now` is monotonic [s]."""
         self._answered = now
 
-    def server_time(self) -> float:
-        """The present time by the server's clock [unix s]; this machine's where an older server does not tell."""
-        told = self._status.get("time")
-        age = time.monotonic() - self._answered
-        return float(told) + age if isinstance(told, int | float) else time.time()
-
     def parts(self) -> list[Element]:
         """Header and sections, each with an id, in their order."""
-        figures, status, now = self.figures, self._status, self.server_time()
+        figures, status = self.figures, self._status
+        now = server_time(status, time.monotonic() - self._answered)
         made = [
             self._head(now),
             tables.tiles(figures, status, now),

@@ -50,25 +50,22 @@ def layout(*, replayed: bool = False) -> rrb.Blueprint:
     )
 
 
-def _live() -> rrb.Vertical:
-    return rrb.Vertical(
+def _live() -> rrb.Tabs:
+    """Three panels for a first look; the rest is one click away."""
+    return rrb.Tabs(
         rrb.Horizontal(
             _scene(),
-            rrb.Vertical(
-                _success(),
-                rrb.Tabs(_cost(), _predictions(), _reasons(), _document("guide", "What is this?"), active_tab=0),
-                row_shares=[1, 1],
-            ),
+            rrb.Vertical(_success(), _document("status", "Status"), row_shares=[1.2, 1]),
             column_shares=[1.3, 1],
+            name="Overview",
         ),
-        rrb.Horizontal(
-            rrb.Tabs(_document("status", "Status"), _log(), active_tab=0),
-            _document("outcomes", "Outcomes"),
-            _exploration(),
-            rrb.Tabs(_learner(), _drift(), _latency(), active_tab=0),
-            column_shares=[1.1, 0.8, 1, 1],
+        rrb.Vertical(
+            rrb.Horizontal(_reasons(), _document("outcomes", "Outcomes"), _cost()),
+            rrb.Horizontal(_exploration(), _learner(), _latency()),
+            name="Trials and learning",
         ),
-        row_shares=[1.75, 1],
+        rrb.Horizontal(_document("guide", "What is this?"), _log(), name="Help and log"),
+        active_tab=0,
     )
 
 

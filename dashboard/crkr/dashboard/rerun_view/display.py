@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import time
-from collections import deque
 from collections.abc import Mapping, Sequence
 from typing import Any, Final, final
 
@@ -17,7 +16,7 @@ from crkr.dashboard.rerun_view.curves import Curves
 from crkr.dashboard.rerun_view.recording import Recording
 from crkr.dashboard.rerun_view.robots import Robots
 from crkr.dashboard.rerun_view.text_panels import guide_page, outcomes_page, status_page
-from crkr.dashboard.status_facts import speed
+from crkr.dashboard.status_facts import server_time
 from crkr.dashboard.telemetry import Telemetry
 from crkr.protocol import printable
 
@@ -51,7 +50,6 @@ class RerunDisplay:
         self._answered = 0.0
         self._next_numbers = self._next_pages = 0.0
         self._pages: dict[str, str] = {}
-        self._speed: deque[tuple[float, int]] = deque(maxlen=10)
 
     def task(self, description: str) -> None:
         """Write the page that explains the panels."""
@@ -100,7 +98,6 @@ class RerunDisplay:
             self._curves.flush(progress)
         if now >= self._next_pages:
             self._next_pages = now + PAGES_EVERY_S
-            self._speed.append((now, progress.trials))
             self._write_pages(progress, now)
 
     def finish(self, progress: Progress) -> None:
@@ -115,8 +112,10 @@ class RerunDisplay:
 
     def _write_pages(self, progress: Progress, now: float) -> None:
         remark = f"*{NOT_STORED}*" if self._replayed else ""
+        age = now - self._answered
+        clock = now if self._replayed else server_time(self._status, age)  # a stored run's times are its clock
         pages = {
-            "status": status_page(self._task, self._status, now - self._answered, progress, speed(self._speed), remark),
+            "status": status_page(self._task, self._status, age, progress, progress.pace.rate(clock), remark),
             "outcomes": outcomes_page(progress),
         }
         for name, text in pages.items():

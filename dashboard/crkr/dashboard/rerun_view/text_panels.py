@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 from crkr.dashboard.progress import WINDOW, Progress
-from crkr.dashboard.status_facts import advice_lines, latency_ms, percent, reason_rows, worker_rows
+from crkr.dashboard.status_facts import advice_lines, latency_ms, percent, reason_rows, recent_workers, worker_rows
 from crkr.protocol import printable
 
 __all__ = ["guide_page", "outcomes_page", "status_page"]
@@ -40,6 +40,7 @@ def status_page(
     """The run in numbers; the server answered `status` `status_age_s` ago, and `remark` is the last line."""
     newest = max((result for result in progress.epochs.values() if result.closed), default=None, key=lambda r: r.epoch)
     kinds = progress.kinds
+    shown, others = recent_workers(worker_rows(status, progress, status_age_s), 16)
     lines = [
         f"**{_plain(task)}**: **{progress.trials}** training trials, **{trials_per_second:.1f}**/s, "
         f"epoch **{progress.epoch}**",
@@ -60,9 +61,10 @@ def status_page(
             ("worker", "state", "reported", "last heard"),
             [
                 (worker.name, worker.state, worker.trials, "" if worker.quiet_s is None else f"{worker.quiet_s:.0f} s")
-                for worker in worker_rows(status, progress, status_age_s)[:16]
+                for worker in shown
             ],
         ),
+        *([f"and {others} that left or were not heard for long"] if others else []),
         "",
         *_table(
             ("asked of the server", "median", "p99"),

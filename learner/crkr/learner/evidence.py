@@ -19,9 +19,9 @@ import numpy as np
 from scipy.linalg import lapack
 from scipy.optimize import minimize
 
+from crkr.learner.cost import noise_variances
 from crkr.learner.kernel import squared_distances
 from crkr.learner.model import Model
-from crkr.learner.noise import noise_variances
 from crkr.protocol import Array, NoSamples
 
 __all__ = ["FitProblem", "FitResult", "fit", "log_evidence"]

@@ -8,8 +8,8 @@ from typing import Any, final
 
 import numpy as np
 
+from crkr.learner.cost import noise_variances
 from crkr.learner.kernel import Kernel
-from crkr.learner.noise import noise_variances
 from crkr.protocol import Array, Invalid, TaskSpec
 from crkr.protocol.codec import array_from_wire
 from crkr.protocol.specification.settings import Start

@@ -10,8 +10,7 @@ from uuid import UUID
 import numpy as np
 from numpy.typing import NDArray
 
-from crkr.learner.exploration.draws import uniforms
-from crkr.learner.exploration.truncated_normal import truncated_normal
+from crkr.learner.exploration.draws import truncated_normal, uniforms
 from crkr.protocol import Array, TaskSpec
 
 __all__ = ["Choice", "Explorer", "GaussianExplorer"]

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from typing import final
 
+import numpy as np
+
+from crkr.learner.samples.growable_array import Growable
 from crkr.learner.selection.anms_batch import Indices
-from crkr.learner.selection.arrival_order import ArrivalOrder
 from crkr.learner.selection.selector import Radii, Standing
 from crkr.protocol import MOST_KEPT, Array
 
@@ -23,7 +25,9 @@ class FirstCome:
 
     def __init__(self, budget: int, bounded: bool = True) -> None:
         self._budget, self._bounded = budget, bounded
-        self._order = ArrivalOrder()
+        self._kept = Growable(np.bool_)  # of each sample, whether it is not removed
+        self._active: Indices = np.empty(0, dtype=np.int64)
+        self._active.setflags(write=False)
 
     @classmethod
     def freeze(cls, dimensions: int, budget: int) -> FirstCome:
@@ -39,26 +43,30 @@ class FirstCome:
 
     @property
     def active(self) -> Indices:
-        """Numbers of the oldest samples that are not removed."""
-        return self._order.first(self._budget)
+        """Numbers of the oldest samples that are not removed, read-only; the same object while they stay the same."""
+        oldest = np.flatnonzero(self._kept.rows)[: self._budget]
+        if not np.array_equal(oldest, self._active):
+            oldest.setflags(write=False)
+            self._active = oldest
+        return self._active
 
     def extend(self, Z: Array, costs: Array) -> None:
         """Adds samples; they are active while there is room."""
         del Z  # Unused.
-        self._order.extend(len(costs))
+        self._kept.extend(np.ones(len(costs), dtype=np.bool_))
 
     def remove(self, indices: Indices | int) -> None:
         """Forgets samples; the next oldest take their places."""
-        self._order.remove(indices)
+        self._kept.rows[indices] = False
 
     def recost(self, indices: Indices | int, costs: Array | float) -> None:
         """Changes nothing: costs do not matter here."""
 
     def rebuild(self, Z: Array, costs: Array, radii: Radii | None = None) -> None:
         """Takes these samples."""
-        del Z, radii  # Unused.
-        self._order = ArrivalOrder()
-        self._order.extend(len(costs))
+        del radii  # Unused.
+        self._kept = Growable(np.bool_)
+        self.extend(Z, costs)
 
     def set_budget(self, budget: int) -> None:
         """Makes room for more, or lets the youngest go, where there is a budget at all."""

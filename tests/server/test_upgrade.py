@@ -34,7 +34,7 @@ def installed(tmp_path: Path) -> Path:
     (folder / "crkr-0.dist-info").mkdir()
     for name in ("METADATA", "entry_points.txt"):
         (folder / "crkr-0.dist-info" / name).write_text(about.read_text(name) or "")
-    root = Path(__file__).parents[3]
+    root = Path(__file__).parents[2]
     for part in PARTS:
         subprocess.run(["cp", "-r", root / part / "crkr" / part, folder / "crkr" / part], check=True)
     return folder

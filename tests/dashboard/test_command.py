@@ -4,10 +4,9 @@ import signal
 import socket
 import subprocess
 import sys
-import time
 import urllib.request
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -145,16 +144,17 @@ def test_a_signal_while_it_waits_for_a_server_ends_it(watch: Watch, free_port: i
         assert (process.returncode, rest) == (0, "")
 
 
-def test_a_second_ctrl_c_ends_the_process_at_once(watch: Watch, free_port: int) -> None:
+def test_a_second_ctrl_c_ends_the_process_at_once(watch: Watch, free_port: int, processes: Any) -> None:
     """It is in the middle of a question that goes on for ten minutes."""
     endpoint = f"tcp/127.0.0.1:{free_port}"
     process = watch("--terminal", "--timeout", "600", "--connect", endpoint, "--log-level", "info")
     line_with(process.stderr, "trying again")
-    deadline = time.monotonic() + PATIENCE_S
-    while process.poll() is None and time.monotonic() < deadline:
+
+    def ended() -> bool:
         process.send_signal(signal.SIGINT)
-        with suppress(subprocess.TimeoutExpired):
-            process.wait(0.1)
+        return process.poll() is not None
+
+    processes.wait_until(ended)
     assert process.returncode == -signal.SIGINT
 
 

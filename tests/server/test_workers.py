@@ -1,6 +1,5 @@
 """Workers are known by liveliness tokens, notices and the names in messages."""
 
-import time
 from collections.abc import Callable
 from typing import Any
 
@@ -11,6 +10,7 @@ import zenoh
 Ask = Callable[..., dict[str, Any]]
 MakeTrial = Callable[..., dict[str, Any]]
 Plain = Callable[[str], zenoh.Session]
+Until = Callable[[Callable[[], Any]], Any]
 
 
 @pytest.fixture
@@ -19,13 +19,10 @@ def task(ask: Ask) -> str:
     return name
 
 
-def until(condition: Callable[[], Any]) -> Any:
-    """The first true answer; each question is a round trip to the server, so this does not spin."""
-    deadline = time.monotonic() + 10
-    while time.monotonic() < deadline:
-        if answer := condition():
-            return answer
-    return pytest.fail("it did not become so in time")
+@pytest.fixture
+def until(processes: Any) -> Until:
+    """The first true answer."""
+    return processes.wait_until  # type: ignore[no-any-return]  # typed in conftest.py
 
 
 def worker(ask: Ask, name: str) -> dict[str, Any]:
@@ -34,7 +31,7 @@ def worker(ask: Ask, name: str) -> dict[str, Any]:
 
 
 def test_a_worker_is_alive_by_its_token_and_lost_without(
-    ask: Ask, task: str, plain: Plain, shared_endpoint: str
+    ask: Ask, task: str, plain: Plain, shared_endpoint: str, until: Until
 ) -> None:
     other = plain(shared_endpoint)
     token = other.liveliness().declare_token(f"crkr/@v1/task/{task}/live/worker/ada")
@@ -44,7 +41,7 @@ def test_a_worker_is_alive_by_its_token_and_lost_without(
     until(lambda: worker(ask, "ada").get("state") == "lost")
 
 
-def test_odd_tokens_disturb_nobody(ask: Ask, task: str, plain: Plain, shared_endpoint: str) -> None:
+def test_odd_tokens_disturb_nobody(ask: Ask, task: str, plain: Plain, shared_endpoint: str, until: Until) -> None:
     session = plain(shared_endpoint)
     keys = ["crkr/@v1/**", "crkr/@v1/task/**", "crkr/@v1/task/*/live/*/*", f"crkr/@v1/task/{task}/live/*/eve"]
     keys += [f"crkr/@v1/task/{task}/live/dance/eve", f"crkr/@v1/task/{task}/live/left/eve"]
@@ -74,7 +71,7 @@ def test_a_trial_is_open_until_it_is_reported_by_anyone_under_that_name(ask: Ask
 
 
 def test_subscribers_hear_of_each_new_model(
-    ask: Ask, task: str, make_trial: MakeTrial, plain: Plain, shared_endpoint: str
+    ask: Ask, task: str, make_trial: MakeTrial, plain: Plain, shared_endpoint: str, until: Until
 ) -> None:
     session = plain(shared_endpoint)
     notices = session.declare_subscriber(f"crkr/@v1/task/{task}/pub/model", zenoh.handlers.FifoChannel(64))

@@ -215,7 +215,7 @@ class Workers:
                 if what == _LEFT:
                     self._leave(task, worker, stands)
                 elif what == _WORKER:
-                    self._appear(task, worker, stands)
+                    self.note_token(task, worker, stands)
         return True  # a token with a wildcard belongs to no worker
 
     def _leave(self, task: str, worker: str, stands: bool) -> None:
@@ -225,7 +225,8 @@ class Workers:
             if entry is not None and stands:
                 entry.left = True
 
-    def _appear(self, task: str, worker: str, stands: bool) -> None:
+    def note_token(self, task: str, worker: str, stands: bool) -> None:
+        """A worker's token was declared, or it is gone."""
         with self._lock:
             entry = self._entry(task, worker)
             entry.see()

@@ -2,7 +2,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -40,16 +39,16 @@ def test_every_run_is_a_separate_recording(tmp_path: Path) -> None:
     assert len(identities) == 2
 
 
-def test_the_recording_is_served_on_loopback_only(free_port: int) -> None:
+def test_the_recording_is_served_on_loopback_only(free_port: int, processes: Any) -> None:
     recording = Recording((HOST, free_port), None)
-    deadline = time.monotonic() + 10.0
-    found: set[str] = set()
-    while not found and time.monotonic() < deadline:
-        rows = [line.split() for line in Path("/proc/net/tcp").read_text().splitlines()[1:]]
-        rows += [line.split() for line in Path("/proc/net/tcp6").read_text().splitlines()[1:]]
-        found = {row[1].split(":")[0] for row in rows if row[3] == "0A" and row[1].endswith(f":{free_port:04X}")}
+
+    def hosts() -> set[str]:
+        lines = [line for name in ("tcp", "tcp6") for line in Path(f"/proc/net/{name}").read_text().splitlines()[1:]]
+        rows = [line.split() for line in lines]
+        return {row[1].split(":")[0] for row in rows if row[3] == "0A" and row[1].endswith(f":{free_port:04X}")}
+
+    assert processes.wait_until(hosts) == {LOOPBACK}
     assert recording.close(5.0)
-    assert found == {LOOPBACK}
 
 
 @pytest.mark.parametrize("megabytes", [40])

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import gzip
 import json
+import sqlite3
 import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -174,7 +176,8 @@ def test_a_specification_that_cannot_be_read_makes_its_own_task_faulty_only(laid
 def test_damage_to_a_stored_task_is_still_everyones(laid_out: Callable[[str], Path]) -> None:
     log = SqliteLog(laid_out("numbers"))
     try:
-        log._writer.execute("UPDATE event SET body = x'80' WHERE kind = 'fit'")
+        with closing(sqlite3.connect(log.path)) as other, other:
+            other.execute("UPDATE event SET body = x'80' WHERE kind = 'fit'")
         with pytest.raises(StorageError, match="does not match its digest"):
             restore_all(log.reads)
     finally:

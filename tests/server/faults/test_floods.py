@@ -18,6 +18,9 @@ import zenoh
 from zenoh_wire import changed_on_the_way
 
 from crkr.client import Client
+from crkr.client.network.config import Connection
+from crkr.client.network.zenoh_transport import ZenohTransport
+from crkr.client.rpc import Rpc
 from crkr.protocol import MAX_MESSAGE_BYTES, Invalid, TaskSpec, task_key
 from crkr.server.log import Event, SqliteLog
 from crkr.server.metrics.durations import Latencies
@@ -56,8 +59,8 @@ def test_refusals_that_wait_are_bounded_by_bytes_and_large_ones_leave_room_for_s
     assert large == [True] * 3 + [False] * 7
     small = sum(refuser.add(lambda _: None, error, 4096) for _ in range(10_000))
     assert small == 16 * MIB // 4096
-    while refuser._waiting:
-        refuser._take()
+    while len(refuser):
+        refuser.take()
     assert refuser.add(lambda _: None, error, 7 * MIB)
 
 
@@ -111,9 +114,9 @@ def test_open_trials_of_made_up_workers_are_bounded_in_all_and_honest_ones_stay(
 
 def test_made_up_names_push_out_made_up_names_and_no_worker_that_stands_by_its_token() -> None:
     workers = Workers()
-    workers._appear("reach", "ada", True)
-    workers._appear("reach", "gone", True)
-    workers._appear("reach", "gone", False)
+    workers.note_token("reach", "ada", True)
+    workers.note_token("reach", "gone", True)
+    workers.note_token("reach", "gone", False)
     for number in range(5000):
         workers.asked("reach", f"eve-{number}", [number.to_bytes(16)])
     states, opened = workers.totals()["reach"]
@@ -191,11 +194,11 @@ def test_messages_whose_end_never_comes_are_kept_within_bounds(
 
 
 def test_the_largest_message_of_the_protocol_passes(server: Any, reach: dict[str, Any]) -> None:
-    with Client(server.endpoint) as client:
+    with Client(server.endpoint) as client, ZenohTransport(Connection.choose(server.endpoint, None)) as transport:
         client.create_task(reach)
         room = MAX_MESSAGE_BYTES - len(msgpack.packb({"trials": b""})) - 4
         with pytest.raises(Invalid, match="trials must be"):
-            client._rpc.call("crkr/@v1/task/reach/rpc/report", {"trials": bytes(room)}, PATIENCE_S)
+            Rpc(transport, PATIENCE_S).call("crkr/@v1/task/reach/rpc/report", {"trials": bytes(room)}, PATIENCE_S)
 
 
 def test_an_answer_larger_than_a_message_is_refused_before_the_work(ask: Ask, reach: dict[str, Any]) -> None:

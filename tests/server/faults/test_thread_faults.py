@@ -15,7 +15,8 @@ from zenoh_wire import changed_on_the_way
 from crkr.client import Client
 from crkr.client.network.config import Connection
 from crkr.client.network.zenoh_transport import ZenohTransport
-from crkr.protocol import pack, task_key
+from crkr.client.rpc import Rpc
+from crkr.protocol import Unsupported, pack, task_key
 from crkr.server.metrics.durations import Latencies
 from crkr.server.queries.intake import Intake
 from crkr.server.queries.queue import Lane, busy
@@ -227,8 +228,8 @@ def test_a_key_longer_than_zenoh_can_answer_harms_nobody_else(
         assert task.report(state=[0.4, 0.5], goal=[0.0] * 3, cost=0.5, success=True, timeout_s=PATIENCE_S).accepted == 1
         assert task.status(timeout_s=PATIENCE_S)["samples"]["trial"] == 2
         assert len(task.samples(timeout_s=PATIENCE_S)[0]) == 2
-        with pytest.raises(Exception, match="dance"):
-            client._rpc.call(task_key("reach", "dance"), {}, PATIENCE_S)
+        with ZenohTransport(Connection.choose(endpoint, None)) as transport, pytest.raises(Unsupported, match="dance"):
+            Rpc(transport, PATIENCE_S).call(task_key("reach", "dance"), {}, PATIENCE_S)
 
 
 @pytest.mark.parametrize(

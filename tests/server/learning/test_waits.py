@@ -81,7 +81,7 @@ def test_nothing_is_kept_of_a_task_for_which_nobody_waits(clock: Clock) -> None:
     told = []
     waits.timed("task", lambda result, failure: told.append((result, failure)))("found", None)
     assert told == [("found", None)]
-    assert waits._of == {}
+    assert len(waits) == 0
 
 
 @pytest.fixture

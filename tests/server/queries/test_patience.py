@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 import zenoh
 
-from crkr.client import Client
+from crkr.client.network.config import Connection
+from crkr.client.network.zenoh_transport import ZenohTransport
+from crkr.client.rpc import Rpc
 from crkr.protocol import pack, task_key
 from crkr.protocol.messages.call_metadata import CallMetadata
 from crkr.server.metrics.durations import Latencies
@@ -86,10 +88,10 @@ def test_a_client_waits_once_for_many_states_and_again_and_again_for_one(free_po
         with query:
             query.reply(query.key_expr, pack({"answered": True}), encoding="application/msgpack;crkr.predict.v1")
 
-    with open_session(endpoint, None) as session, Client(endpoint) as client:
+    with open_session(endpoint, None) as session, ZenohTransport(Connection.choose(endpoint, None)) as transport:
         queryable = session.declare_queryable(task_key("reach", "predict"), answer)
         for states in (np.zeros((40, 2)), np.zeros(2)):
-            reply = client._rpc.call(task_key("reach", "predict"), {"states": states}, PATIENCE_S)
+            reply = Rpc(transport, PATIENCE_S).call(task_key("reach", "predict"), {"states": states}, PATIENCE_S)
             assert reply == {"answered": True}
         assert queryable is not None
     assert asked[2] == 1

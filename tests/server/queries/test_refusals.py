@@ -32,7 +32,7 @@ def test_the_last_of_many_is_told_within_a_first_attempt(
             refuser.add(Request(queries.recv(), Latencies()).fail, busy("explain"))
         told = pauses = 0
         while told < count:
-            batch = refuser._take()
+            batch = refuser.take()
             for tell, error in batch:
                 tell(error)
             told, pauses = told + len(batch), pauses + 1
@@ -79,7 +79,7 @@ def test_adding_more_refusals_than_can_be_sent_is_slowed() -> None:
     error, most = busy("explain"), 0
     for _ in range(12_000):
         refuser.add(told.append, error)
-        most = max(most, len(refuser._waiting))
+        most = max(most, len(refuser))
     assert 4096 <= most < 6000
     refuser.close(10.0)
     assert len(told) == 12_000

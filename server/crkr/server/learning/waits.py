@@ -38,6 +38,10 @@ class Waits:
         self._lock = threading.Lock()
         self._of: dict[str, _Wait] = {}
 
+    def __len__(self) -> int:
+        """Tasks for which a request waits."""
+        return len(self._of)
+
     def too_long(self, task: str) -> bool:
         """Whether one more request would wait too long."""
         with self._lock:

@@ -49,6 +49,10 @@ class Refuser:
         self._closing = threading.Event()
         self._thread = threading.Thread(target=keep_running, args=(self._step,), name="refusals", daemon=True)
 
+    def __len__(self) -> int:
+        """How many refusals wait."""
+        return len(self._waiting)
+
     def start(self) -> None:
         """Start to send."""
         self._thread.start()
@@ -90,7 +94,7 @@ class Refuser:
             self._thread.join(patience_s)
 
     def _step(self) -> bool:
-        batch = self._take()
+        batch = self.take()
         for tell, error in batch:
             try:
                 tell(error)
@@ -100,7 +104,8 @@ class Refuser:
             self._closing.wait(_PAUSE_S)
         return bool(batch)
 
-    def _take(self) -> list[tuple[_Tell, CrkrError]]:
+    def take(self) -> list[tuple[_Tell, CrkrError]]:
+        """Take the refusals to send before the next pause; waits for one."""
         with self._changed:
             while not (self._waiting or self._closing.is_set()):
                 self._changed.wait()

@@ -157,11 +157,6 @@ class Learner:
         """Which of these trials are new, without storing them; raises `Conflict` as `report` would."""
         return review(self._told.store, trials)
 
-    def seq_of(self, trial_id: UUID) -> int | None:
-        """Log position a trial was stored under, or None."""
-        row = self._told.store.find(trial_id)
-        return None if row is None else int(self._told.store.seqs[row])
-
     def recost(self, ids: Sequence[UUID | bytes], costs: object) -> int:
         """Changes the costs of trials that turned out better or worse; returns how many changed.
 

@@ -42,7 +42,6 @@ __all__ = [
     "Skill",
     "SkillFactory",
     "SkillOptions",
-    "SkillWithDemonstrations",
     "TaskSpec",
     "Trace",
     "TrialResult",
@@ -156,10 +155,6 @@ class HasDemonstrations(Protocol):
     def demonstrations(self, count: int, rng: np.random.Generator, /) -> Sequence[Demonstration]:
         """Demonstrates `count` successful goals for situations drawn from `rng`."""
         ...
-
-
-class SkillWithDemonstrations(Skill, HasDemonstrations, Protocol):
-    """A skill that can be tried and shown."""
 
 
 @runtime_checkable

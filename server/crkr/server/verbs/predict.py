@@ -49,8 +49,6 @@ _FILL_US: Final = 0.3  # any number of states while goals fill space, for each o
 _LEAST: Final = 8  # states at a time; with fewer, most of the work would be reading the factor
 _LONG_US: Final = 10_000.0  # of work at a time, even with fewer states
 _LONGEST: Final = 128  # name of a worker
-_ID_BYTES: Final = 18  # of an id in an answer
-_HEAD_BYTES: Final = 1024  # of an answer, its rows aside
 
 
 @final

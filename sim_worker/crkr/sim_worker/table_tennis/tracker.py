@@ -23,14 +23,13 @@ from crkr.sim_worker.table_tennis.ball.constants import (
 from crkr.sim_worker.table_tennis.ball.flight import AIR, Ball, Curl, fly_to_height, fly_to_x
 from crkr.sim_worker.table_tennis.environments.play import Play
 
-__all__ = ["COST_WIDTH", "OUTCOMES", "Verdict", "cost_of", "judge", "motion"]
+__all__ = ["COST_WIDTH", "Verdict", "cost_of", "judge", "motion"]
 
 Floats = NDArray[np.float64]
 
 # The paper sets a^2 = 6 cm, read as 6 cm^2: a ball at the paddle's edge then costs 0.99, as the text wants.
 COST_WIDTH: Final = 6e-4**0.5  # a [m]
 TOUCH_HEIGHT: Final = TABLE_HEIGHT + BALL_RADIUS
-OUTCOMES: Final = ("hit_x", "hit_y", "hit_z", "landing_x", "landing_y")
 
 
 @final

@@ -115,6 +115,17 @@ def test_a_short_demo_of_table_tennis_learns_and_leaves_what_it_says(
     assert (result["workers_lost"], result["seed"], result["resumed"]) == (0, 0, False)
 
 
+def test_a_demo_keeps_its_log_in_a_database_and_is_resumed_from_there(
+    start_demo: Callable[..., Demo], make_database: Callable[[], str], tmp_path: Path
+) -> None:
+    url = make_database()
+    assert start_demo(*QUICK, "--trials", "20", "--data", url).result()["trials"] == 20
+    result = start_demo(*QUICK, "--trials", "30", "--data", url).result()
+    assert (result["trials"], result["resumed"]) == (30, True)
+    assert Path(result["data"]) == tmp_path / "crkr-demo"
+    assert not list((tmp_path / "crkr-demo").glob("*.sqlite3"))
+
+
 def test_a_demo_on_the_same_data_is_resumed_with_its_own_seed(start_demo: Callable[..., Demo]) -> None:
     first = start_demo(*QUICK, "--trials", "60").result()
     demo = start_demo(*QUICK, "--trials", "110", "--seed", "7")

@@ -34,7 +34,13 @@ def predict(
     _measure_in_folder(lambda folder: measure(folder, samples), "predict, m = 250, d = 6, p = 13, loopback", as_json)
 
 
-def report(as_json: Json = False) -> None:
+def report(
+    database: Annotated[
+        str | None,
+        typer.Option(metavar="URL", help="Also measure a server on this empty database, postgresql://..., beside it."),
+    ] = None,
+    as_json: Json = False,
+) -> None:
     """Measure durable reports beside a bare Zenoh echo and a bare SQLite commit of the same row.
 
     Example: crkr bench report --json
@@ -42,7 +48,7 @@ def report(as_json: Json = False) -> None:
     require("scipy")
     from crkr.experiments.bench.report import measure
 
-    _measure_in_folder(measure, "report, d = 6, p = 13, loopback", as_json)
+    _measure_in_folder(lambda folder: measure(folder, database), "report, d = 6, p = 13, loopback", as_json)
 
 
 def tasks(

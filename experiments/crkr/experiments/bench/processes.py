@@ -184,8 +184,8 @@ def say_ready() -> None:
 
 
 @contextmanager
-def running_server(data: Path) -> Iterator[Client]:
-    """A client of a new server on a data directory; the end of the server ends the client's calls.
+def running_server(data: Path | str) -> Iterator[Client]:
+    """A client of a new server on a data directory or a database; the end of the server ends the client's calls.
 
     Raises:
         Unavailable: The server ended by itself, whatever that made fail in the block.

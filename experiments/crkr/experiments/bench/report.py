@@ -11,7 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from crkr.client import Task
+from crkr.client import Client, Task
 from crkr.experiments.bench import workload
 from crkr.experiments.bench.bare_zenoh import KEY, BareQuerier, echo_server
 from crkr.experiments.bench.measurements import Measurement, in_turns, p50, ratio
@@ -22,8 +22,13 @@ __all__ = ["measure"]
 _WARM: Final = 500  # commits, after which the write-ahead log no longer grows: a file that grows is slower to sync
 
 
-def measure(directory: Path) -> Iterator[Measurement]:
-    """All figures; `directory` is empty, for the databases."""
+def measure(directory: Path, database: str | None = None) -> Iterator[Measurement]:
+    """All figures.
+
+    Args:
+        directory: An empty folder, for the files of SQLite's.
+        database: URL of an empty PostgreSQL database: a server that keeps its log there is measured too.
+    """
     with ExitStack() as stack:
         client = stack.enter_context(running_server(directory / "data"))
         task = client.create_task(workload.bench_spec())
@@ -33,6 +38,8 @@ def measure(directory: Path) -> Iterator[Measurement]:
         echo = stack.enter_context(BareQuerier(stack.enter_context(echo_server(len(receipt))), KEY))
         yield from _alone(task, bare, echo, stack.enter_context(closing(_bare_log(directory))))
         yield _in_flight(bare, echo)
+        if database is not None:
+            yield from _shared(stack.enter_context(running_server(database)), task, bare)
 
 
 def _alone(task: Task, bare: BareQuerier, echo: BareQuerier, log: sqlite3.Connection) -> Iterator[Measurement]:
@@ -63,6 +70,28 @@ def _in_flight(bare: BareQuerier, echo: BareQuerier) -> Measurement:
     medians = {name: float(np.median(found)) for name, found in rates.items()}
     what = "report rate / echo rate, 64 in flight"
     return ratio(what, medians, "report", "echo", 0.1, at_least=True, unit="/s")
+
+
+def _shared(client: Client, task: Task, bare: BareQuerier) -> Iterator[Measurement]:
+    """A server with its log in a database beside the one with a file, in turns."""
+    shared = client.create_task(workload.bench_spec())
+    workload.fill(shared, 500)
+    state, goal = workload.states(1)[0], np.zeros(workload.P)
+    with BareQuerier(client.endpoint, workload.key("report")) as other:
+        calls: dict[str, Callable[[], Any]] = {
+            name: lambda one=one: one.report(state=state, goal=goal, cost=0.5, success=False, worker="bench")  # type: ignore[misc]  # the default binds the loop's value
+            for name, one in (("PostgreSQL", shared), ("SQLite", task))
+        }
+        times = {name: p50(found) for name, found in in_turns(calls, 800, 1).items()}
+        yield ratio("Task.report p50, PostgreSQL / SQLite", times, "PostgreSQL", "SQLite", 1.5)
+        rates: dict[str, list[float]] = {"PostgreSQL": [], "SQLite": []}
+        numbers = count(4 * 10**6)
+        for _ in range(6):
+            for name, one in (("PostgreSQL", other), ("SQLite", bare)):
+                rates[name].append(one.rate([workload.report_payload(next(numbers)) for _ in range(2000)], 64))
+    medians = {name: float(np.median(found)) for name, found in rates.items()}
+    what = "reports/s, 64 in flight, PostgreSQL / SQLite"
+    yield ratio(what, medians, "PostgreSQL", "SQLite", 0.5, at_least=True, unit="/s")
 
 
 def _bare_log(directory: Path) -> sqlite3.Connection:

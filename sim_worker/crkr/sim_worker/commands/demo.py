@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 __all__ = ["demo"]
 
 LOOPBACK: Final = "127.0.0.1"
+FOLDER: Final = "crkr-demo"
 DEFAULT_PORT: Final = 7447  # where the other commands look unless told otherwise
 
 
@@ -27,7 +28,10 @@ def demo(
     workers: Annotated[int, typer.Option(min=1, max=256, help="Training processes.")] = 2,
     seed: Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Of demonstrations, contexts and exploration.")] = 0,
     dashboard: Annotated[bool, typer.Option(help="Run the live viewer too; needs the extra 'dashboard'.")] = True,
-    data: Annotated[Path, typer.Option(help="Folder for all files; a run there is resumed.")] = Path("crkr-demo"),
+    data: Annotated[
+        str,
+        typer.Option(metavar="DIR|URL", help="Folder for all files, or postgresql://...; a run there is resumed."),
+    ] = FOLDER,
     port: Annotated[
         int, typer.Option(min=0, max=65535, help="Loopback port of the server; 0 takes any free one.")
     ] = DEFAULT_PORT,
@@ -54,22 +58,25 @@ def demo(
     from crkr.sim_worker.skill_registry import check_skill, default_task
 
     check_extras(dashboard)
+    database = data if data.startswith(("postgresql://", "postgres://")) else None
+    folder = Path(FOLDER if database else data).resolve()
     settings = DemoSettings(
         skill=check_skill(skill),
         task=default_task(skill),
         trials=trials,
         workers=workers,
         seed=seed,
-        data=data.resolve(),
-        recording=_unused(data.resolve() / "run.rrd"),
-        figure=_figure(data.resolve()),
+        data=folder,
+        database=database,
+        recording=_unused(folder / "run.rrd"),
+        figure=_figure(folder),
         endpoint=f"tcp/{LOOPBACK}:{port or _free_port()}",
         dashboard=dashboard,
         stay=stay,
     )
     connect = "" if port == DEFAULT_PORT else f" --connect {settings.endpoint}"
     welcome = (
-        f"{workers} workers learn {skill}; server at {settings.endpoint}, everything in {data}",
+        f"{workers} workers learn {skill}; server at {settings.endpoint}, everything in {FOLDER if database else data}",
         f"ask it from another terminal: {script('crkr')} status {settings.task}{connect}",
     )
 

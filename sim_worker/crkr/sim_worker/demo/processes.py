@@ -58,7 +58,8 @@ class DemoProcesses:
             DemoFailed: It ended, is silent for too long, or listens and cannot be reached.
         """
         settings = self._settings
-        self._server = self._start("server", ["server", "--listen", settings.endpoint, "--data", str(settings.data)])
+        log = settings.database or str(settings.data)
+        self._server = self._start("server", ["server", "--listen", settings.endpoint, "--data", log])
         deadline = time.monotonic() + START_S
         while not any(" listening on " in line for line in self._server.new_lines()):
             if self._server.status is not None:

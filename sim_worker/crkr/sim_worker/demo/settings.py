@@ -26,7 +26,8 @@ class DemoSettings:
         trials: Training trials that the task is to hold in all.
         workers: Training processes.
         seed: Of task, demonstrations and workers.
-        data: Folder for everything; the server's data directory too.
+        data: Folder for everything; the server's data directory too, unless it keeps its log in a database.
+        database: URL of that database; None: none.
         recording: File that `crkr watch` records to.
         figure: File of the learning curve.
         endpoint: Endpoint of its server.
@@ -40,6 +41,7 @@ class DemoSettings:
     workers: int
     seed: int
     data: Path
+    database: str | None
     recording: Path
     figure: Path
     endpoint: str

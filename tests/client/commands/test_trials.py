@@ -57,7 +57,7 @@ def listed(run: Run, task: str, *options: str) -> list[dict[str, Any]]:
 
 def test_the_newest_the_worst_and_a_named_trial_are_listed(run: Run, task: str) -> None:
     assert [one["seq"] for one in listed(run, task)] == list(range(13, 3, -1))
-    assert [one["cost"] for one in listed(run, task, "--worst", "3")] == [0.55, 0.5, 0.45]
+    assert [one["cost"] for one in listed(run, task, "--worst", "--last", "3")] == [0.55, 0.5, 0.45]
     [named] = listed(run, task, "--id", str(UUID(int=3)))
     assert named["cost"] == 0.1
     shown = run("trials", task, "--last", "2").stdout.splitlines()

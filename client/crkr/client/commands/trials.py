@@ -22,10 +22,10 @@ _Reason = Annotated[str, typer.Option("--reason", help="Reason, kept in the log.
 
 def trials(
     task: _Task,
-    last: Annotated[int | None, typer.Option("--last", min=1, help="The newest; 10 unless given.")] = None,
+    last: Annotated[int, typer.Option("--last", "-n", min=1, help="How many of the newest.")] = 10,
     worst: Annotated[
-        int | None, typer.Option("--worst", min=1, help="Those of highest cost; reads all trials.")
-    ] = None,
+        bool, typer.Option("--worst", help="As many of those of highest cost instead; reads all trials.")
+    ] = False,
     ids: Annotated[list[str] | None, typer.Option("--id", metavar="UUID", help="One trial; may come again.")] = None,
     connect: Connect = None,
     timeout: Timeout = 10.0,
@@ -39,7 +39,10 @@ def trials(
     wanted = parse_ids(ids) if ids else None
     with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
         handle = client.task(task)
-        found = handle.trials(last=last, worst=worst, id=wanted)
+        if wanted is not None:
+            found = handle.trials(id=wanted)
+        else:
+            found = handle.trials(worst=last) if worst else handle.trials(last=last)
         spec = handle.spec
     if as_json:
         print_json([one.to_wire() for one in found])

@@ -69,7 +69,7 @@ def draw_policy(spec: TaskSpec, index: int, answer: Prediction, skill: Skill | N
     else:
         _draw_goals(parts[0], spec, index, answer)
     _draw_trust(parts[1], spec, index, answer)
-    figure.suptitle(f"{spec.name}: policy over {spec.state[index].name}")
+    parts[0].suptitle(f"{spec.name}: policy over {spec.state[index].name}")
     save_figure(figure, path)
 
 

@@ -29,7 +29,7 @@ def draw_hits(figure: Any, arm: Arm, label: str, values: Floats, goals: Floats) 
     """
     paddles = [arm.tool(goal[:6], goal[6:12]) for goal in goals]
     above, side, time = figure.subplots(1, 3, width_ratios=[2, 2, 1])
-    for axes, vertical, label in ((above, 1, "y [m]"), (side, 2, "z [m]")):
+    for axes, vertical, height in ((above, 1, "y [m]"), (side, 2, "z [m]")):
         plane = [0, vertical]
         centres, ways, normals = (
             np.array([getattr(paddle, name) for paddle in paddles])[:, plane]
@@ -42,7 +42,7 @@ def draw_hits(figure: Any, arm: Arm, label: str, values: Floats, goals: Floats) 
         blades = np.stack([centres - faces, centres + faces]).transpose(2, 0, 1)
         axes.plot(*blades, color="0.7", linewidth=1, zorder=0)
         shown = axes.scatter(*centres.T, c=values, s=14)
-        axes.set(xlabel="x [m]", ylabel=label, aspect="equal", adjustable="datalim")
+        axes.set(xlabel="x [m]", ylabel=height, aspect="equal", adjustable="datalim")
     above.set_title("paddle from above; arrows: its way in 50 ms", fontsize=9)
     side.set_title("from the side; grey: its face, blue: the table's end", fontsize=9)
     side.plot([-TABLE_HALF_LENGTH, -TABLE_HALF_LENGTH + 0.15], [TABLE_HEIGHT] * 2, color="navy", linewidth=3)

@@ -18,6 +18,7 @@ __all__ = ["draw_throws"]
 Floats = NDArray[np.float64]
 
 INTERVAL: Final = 0.02  # [s]
+SPARSE: Final = 5  # wall and bin are drawn for one in so many states, else they cover each other
 WITHOUT_LANDING: Final = 1.0  # how much of a flight is drawn that never comes down to the rim [s]
 
 
@@ -34,23 +35,26 @@ def draw_throws(figure: Any, arm: Arm, label: str, values: Floats, states: Float
     """
     from matplotlib import colormaps
 
-    side, above = figure.subplots(2, 1, height_ratios=[1.6, 1], sharex=True)
+    side, above = figure.subplots(1, 2)
     shares = (values - values.min()) / max(float(np.ptp(values)), 1e-12)
-    for state, goal, share in zip(states, goals, shares.tolist(), strict=True):
+    for place, (state, goal, share) in enumerate(zip(states, goals, shares.tolist(), strict=True)):
         colour, layout = colormaps["viridis"](share), Layout.of(state)
         path = _path(arm, goal, layout)
         side.plot(path[:, 0], path[:, 2], color=colour, linewidth=1)
         above.plot(path[:, 0], path[:, 1], color=colour, linewidth=1)
+        if place % SPARSE:
+            continue
         side.plot([layout.wall_x] * 2, [0.0, layout.wall_height], color=colour, linewidth=3, alpha=0.5)
         x, y = layout.bin[:2]
         side.plot([x - OPENING, x + OPENING], [RIM, RIM], color=colour, linewidth=2)
         corners = OPENING * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [-1, -1]]) + [x, y]
         above.plot(*corners.T, color=colour, linewidth=1)
     shown = side.scatter([], [], c=[], vmin=values.min(), vmax=values.max(), cmap="viridis")
-    figure.colorbar(shown, ax=[side, above], label=label)
-    side.set(ylabel="z [m]", aspect="equal", adjustable="datalim")
-    above.set(xlabel="x [m]", ylabel="y [m]", aspect="equal", adjustable="datalim")
-    side.set_title("the ball from its release, with wall and rim of the bin, from the side and from above", fontsize=9)
+    figure.colorbar(shown, ax=[side, above], label=label, location="bottom", shrink=0.6, aspect=50)
+    side.set(xlabel="x [m]", ylabel="z [m]", aspect="equal")
+    above.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
+    side.set_title("the ball from its release on, wall and rim of the bin", fontsize=9)
+    above.set_title("from above", fontsize=9)
     for axes in (side, above):
         axes.grid(alpha=0.3)
 

@@ -168,7 +168,7 @@ def test_a_skill_plays_the_best_and_the_worst_trial(
     data = re.search('<script type="application/json" id="film-data">(.*?)</script>', file.read_text())
     assert data is not None
     film = json.loads(data[1])
-    assert [shape["body"] for shape in film["scene"]] == ["upper", "fore"]
+    assert {"upper", "fore"} <= {shape["body"] for shape in film["scene"]}
     assert len(film["trials"]) == 2
     browser.open(file.as_uri())
     # Somewhere on each canvas a shape is drawn, and the clock goes on.

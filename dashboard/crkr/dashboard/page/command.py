@@ -27,8 +27,9 @@ def page(
     overwrite: Overwrite = False,
     skill: Annotated[
         str | None,
-        typer.Option(help="Play trials by this skill, and show the best and the worst; your own as file.py:factory."),
+        typer.Option(help="Skill that plays trials for the film, as file.py:factory; the task's own unless given."),
     ] = None,
+    film: Annotated[bool, typer.Option(help="Play trials, and show the best and the worst.")] = True,
     replay: Annotated[
         str | None,
         typer.Option(metavar="DIR|URL", help="Read a server's data directory or database; it may be off."),
@@ -44,11 +45,11 @@ def page(
 ) -> None:
     """Write one web page about a task: how well it is learned, and where and how it fails.
 
-    The page is a single file. It opens without a network and on a phone. With
-    --skill it also shows the best and the worst of some trials, which are
-    played for it and not stored.
+    The page is a single file. It opens without a network and on a phone. Where
+    the task's skill has a scene, it also shows the best and the worst of some
+    trials, which are played for it and not stored.
 
-    Example: crkr page table-tennis --skill table-tennis --out report.html
+    Example: crkr page table-tennis --out report.html
     Example: crkr page --serve 127.0.0.1:8080
     """
     if serve is not None:
@@ -69,7 +70,7 @@ def page(
         with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
             asked = client.task(task)
             view = read_task(asked)
-            if skill is not None:
+            if film:
                 add_film(view, asked, skill, PLAYED)
     with output_file(out, overwrite=overwrite) as partial:
         partial.write_text(written(view), encoding="utf-8")

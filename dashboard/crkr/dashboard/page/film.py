@@ -17,7 +17,7 @@ from crkr.protocol import Geom, Trace, Unsupported, printable
 __all__ = ["Film", "PlayedTrial", "Shown", "captioned", "play"]
 
 GROUP: Final = "crkr.films"
-"""Group of entry points; `skill` is called with a skill's name, a task and how many trials to play."""
+"""Group of entry points; `skill` is called with a skill's name or None, a task, and how many trials to play."""
 
 RANGE_S: Final = 120.0  # a newer trial takes the place of one this much older, so that a live film stays of today
 
@@ -46,8 +46,8 @@ class PlayedTrial(Protocol):
         ...
 
 
-def play(skill: str, task: Any, count: int) -> tuple[Sequence[Geom], Sequence[PlayedTrial]]:
-    """Play trials of a task's policy by a skill.
+def play(skill: str | None, task: Any, count: int) -> tuple[Sequence[Geom], Sequence[PlayedTrial]]:
+    """Play trials of a task's policy by a skill; None is the one that the task says it is for, if it is installed.
 
     Raises:
         Unsupported: No installed package plays skills.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
@@ -17,8 +18,11 @@ from crkr.dashboard.page.tables import stamp
 from crkr.dashboard.page.view import PageView
 from crkr.dashboard.progress import Progress
 from crkr.dashboard.stored_session import open_run, replay
+from crkr.protocol import CrkrError
 
 __all__ = ["add_film", "read_stored", "read_task", "written"]
+
+logger = logging.getLogger(__name__)
 
 PAGE: Final = 1000  # trials in one answer
 
@@ -65,14 +69,26 @@ def read_stored(data: str, task: str) -> PageView:
     return view
 
 
-def add_film(view: PageView, task: Task, skill: str, count: int) -> None:
+def add_film(view: PageView, task: Task, skill: str | None, count: int) -> None:
     """Play trials by a skill for the film; without a scene or motions there is none.
+
+    Args:
+        view: The page.
+        task: Whose policy is asked.
+        skill: Its name; None is the one that the task says it is for. Where that cannot play, the page has no film.
+        count: Of trials.
 
     Raises:
         Unsupported: No installed package plays skills.
         Invalid: There is no such skill, or it does not fit the task.
     """
-    scene, trials = play(skill, task, count)
+    try:
+        scene, trials = play(skill, task, count)
+    except (CrkrError, ModuleNotFoundError) as error:
+        if skill is not None:
+            raise
+        logger.info("no film: %s", error)
+        return
     view.film.show(scene)
     for trial in trials:
         if trial.trace is not None:

@@ -27,7 +27,7 @@ TICK_S: Final = 0.25
 RENEW_S: Final = 2.0  # between two forms of a page
 IDLE_S: Final = 60.0  # without a reader, after which the server is left in peace
 RETRY_S: Final = 1.0
-REST: Final = 4.0  # while a long log is read, the server rests four times as long as it works
+REST: Final = 1.0  # while a long log is read, the server is asked half of the time at most
 ENDS_S: Final = 5.0
 
 

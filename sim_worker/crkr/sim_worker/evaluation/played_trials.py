@@ -12,7 +12,7 @@ from crkr.protocol import Geom, Invalid, Trace
 from crkr.sim_worker.guarded_skill import GuardedSkill
 from crkr.sim_worker.randomness import fresh_rng
 from crkr.sim_worker.skill import SkillOptions
-from crkr.sim_worker.skill_registry import load_skill
+from crkr.sim_worker.skill_registry import load_skill, skill_of
 
 __all__ = ["PlayedTrial", "play_trials"]
 
@@ -38,13 +38,13 @@ class PlayedTrial:
     trace: Trace | None
 
 
-def play_trials(name: str, task: Task, count: int) -> tuple[Sequence[Geom], list[PlayedTrial]]:
-    """Play fresh contexts by a skill, and return its scene and the trials.
+def play_trials(given: str | None, task: Task, count: int) -> tuple[Sequence[Geom], list[PlayedTrial]]:
+    """Play fresh contexts by a skill, and return its scene and the trials; nothing where no skill is known.
 
     It plays `count` contexts, and up to three times as many while none fails, for at most 20 s.
 
     Args:
-        name: The skill, as `crkr workers` takes it.
+        given: The skill, as `crkr workers` takes it; None is the installed one that the task says it is for.
         task: Whose policy is asked.
         count: Of contexts.
 
@@ -52,6 +52,9 @@ def play_trials(name: str, task: Task, count: int) -> tuple[Sequence[Geom], list
         Invalid: There is no such skill, or its task has states or goals of other sizes.
         SkillFault: The skill fails.
     """
+    name = given or skill_of(task.spec)
+    if name is None:
+        return (), []
     skill = GuardedSkill(load_skill(name, SkillOptions(name=task.name)))
     made, stored = skill.spec(), task.spec
     if (len(made.state), len(made.goal)) != (len(stored.state), len(stored.goal)):

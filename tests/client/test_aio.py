@@ -21,7 +21,7 @@ PATIENCE_S = 20.0
 def test_a_task_is_made_taught_asked_and_read(shared_endpoint: str) -> None:
     async def program() -> None:
         async with AsyncClient(shared_endpoint) as client:
-            assert (await client.info())["protocol"] == 1
+            assert (await client.wait_until_ready(PATIENCE_S))["protocol"] == 1
             task = await client.create_task(specification())
             assert task.name in {entry["spec"].name for entry in await client.tasks()}
             await practise(task)
@@ -33,6 +33,13 @@ def test_a_task_is_made_taught_asked_and_read(shared_endpoint: str) -> None:
             assert (await task.recost([answer.trial_id], [0.9]))["changed"] == 1
             assert (await task.configure({"budget": 9}, timeout_s=PATIENCE_S))["seq"] > receipt.seqs[-1]
             assert (await task.status())["active"] == 9
+            assert (await task.amend(answer.trial_id, success=False, cost=1.0))["changed"] == 1
+            [newest] = await task.trials(last=1)
+            assert (newest.trial.id, newest.trial.success) == (answer.trial_id, False)
+            assert (await task.undo())["undone"] == "amend"
+            assert (await task.rollback(receipt.seqs[-1]))["to"] == receipt.seqs[-1]
+            assert (await task.rename(f"{task.name}-2"))["name"] == f"{task.name}-2"
+            assert (await client.task(f"{task.name}-2").delete())["deleted"] is True
 
     run(program())
 

@@ -16,6 +16,7 @@ from typing import Any
 
 import pytest
 
+from crkr.client import Client
 from crkr.client.network.config import Connection
 from crkr.client.network.zenoh_transport import ZenohTransport
 from crkr.client.rpc import Rpc
@@ -131,6 +132,21 @@ def test_the_commands_of_one_version_work_with_the_other(
         )
         assert done.returncode == 0, f"{words}: {done.stdout}{done.stderr}"
         assert "toss" in done.stdout
+
+
+def test_what_the_earlier_server_lacks_is_said_in_one_line(
+    serve: Start, told: Callable[..., Any], tmp_path: Path
+) -> None:
+    endpoint = serve("earlier").endpoint
+    told("now", "converse", endpoint, tmp_path / "box")
+    with Client(endpoint, timeout_s=DEADLINE_S) as client:
+        task = client.task("toss")
+        first = next(task.iter_samples()).trial.id
+        with pytest.raises(Unsupported, match="iter_samples"):
+            task.trials(last=2)
+        with pytest.raises(Unsupported, match="amend"):
+            task.amend(first, success=False)
+        assert len(task.trials(worst=2)) == 2
 
 
 def test_a_log_and_an_outbox_of_the_earlier_version_are_read(

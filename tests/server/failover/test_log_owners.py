@@ -16,6 +16,7 @@ from crkr.server.follower import Follower
 from crkr.server.learning.restore import catch_up, restore_all
 from crkr.server.learning.tasks import ServedTask
 from crkr.server.log import PendingReport, Stored, read_log
+from crkr.server.log.access import database_summary
 from crkr.server.log.postgres.lease import Lease
 from crkr.server.log.postgres.log import PostgresLog
 
@@ -296,3 +297,14 @@ def assert_alike(followed: dict[str, ServedTask], restored: list[ServedTask]) ->
         )
         assert other.model.version == task.model.version
         assert other.model.ids == task.model.ids
+
+
+def test_the_doctor_says_what_stands_in_a_database_and_who_owns_it(own: Callable[..., Owner], url: str) -> None:
+    with pytest.raises(StorageError, match="there is no task log in postgresql://"):
+        database_summary(url)
+    owner = own()
+    owner.log.create(SPEC)
+    owner.store(1)
+    assert database_summary(url) == "1 tasks with 2 log positions; the server at 127.0.0.1:1 owns it"
+    owner.log.close()
+    assert database_summary(url) == "1 tasks with 2 log positions; no server owns it"

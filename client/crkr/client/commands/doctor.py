@@ -9,7 +9,7 @@ import statistics
 import tempfile
 import time
 from datetime import UTC, datetime
-from importlib.metadata import version
+from importlib.metadata import entry_points, version
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -37,7 +37,8 @@ _Check = tuple[str, bool, str]
 
 def doctor(
     data: Annotated[
-        Path | None, typer.Option("--data", metavar="DIR", help="Also check the disk of a data directory.")
+        str | None,
+        typer.Option("--data", metavar="DIR|URL", help="Also check the disk of a data directory, or a database."),
     ] = None,
     outbox: Annotated[
         Path | None, typer.Option("--outbox", metavar="FILE", help="Also check an outbox that no program has open.")
@@ -53,7 +54,7 @@ def doctor(
     """
     checks = [_versions(), *_server(connect, timeout, zenoh_config)]
     if data is not None:
-        checks += _disk(data)
+        checks += _database(data) if data.startswith(("postgresql://", "postgres://")) else _disk(Path(data))
     if outbox is not None:
         checks.append(_outbox(outbox))
     fine = all(passed for _, passed, _ in checks)
@@ -198,6 +199,17 @@ def _outbox(path: Path) -> _Check:
     if refused:
         told += f", {len(refused)} were put aside, the first for {refused[0].error}; see Outbox.refused and discard"
     return "outbox", not refused, told
+
+
+def _database(url: str) -> list[_Check]:
+    """What the server's part finds, by entry point, as the client knows no database."""
+    found = list(entry_points(group="crkr.data_checks", name="database"))
+    if not found:
+        return [("database", False, "nothing that is installed reads databases: pip install 'crkr[postgres]'")]
+    try:
+        return [("database", True, found[0].load()(url))]
+    except CrkrError as error:
+        return [("database", False, error.message)]
 
 
 def _disk(directory: Path) -> list[_Check]:

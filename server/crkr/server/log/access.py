@@ -19,7 +19,7 @@ from crkr.server.log.sqlite_database import SqliteDatabase
 from crkr.server.log.sqlite_log import SqliteLog
 from crkr.server.log.task_log import TaskLog
 
-__all__ = ["copy_tasks", "copy_to_file", "database_file", "open_unserved", "read_log"]
+__all__ = ["copy_tasks", "copy_to_file", "database_file", "database_summary", "open_unserved", "read_log"]
 
 _LOOK_S: Final = 0.2
 
@@ -41,6 +41,24 @@ def read_log(where: str | Path) -> LogReader:
 
         return LogReader(PostgresDatabase(str(where)))
     return LogReader(SqliteDatabase(database_file(where)))
+
+
+def database_summary(url: str) -> str:
+    """What stands in a database, and which server owns it; raises `StorageError` if it cannot be read."""
+    from crkr.server.log.postgres.database import PostgresDatabase
+
+    database = PostgresDatabase(url)
+    try:
+        reader = LogReader(database)
+        with database.errors("look at the task log"):
+            [(owner, address)] = database.rows("SELECT owner, address FROM log")
+        positions = reader.positions()
+        if lost := reader.lost_end():
+            raise StorageError(lost)
+    finally:
+        database.close()
+    owned = "no server owns it" if owner is None else f"the server at {address} owns it"
+    return f"{len(positions)} tasks with {sum(positions.values())} log positions; {owned}"
 
 
 def copy_tasks(

@@ -101,7 +101,7 @@ def _answers(learner: Learner, rng: np.random.Generator, count: int, most: float
         "batch": (f"{_STATES} states in one call, each", lambda: learner.predict(states), 1, _BATCH_MS),
     }
     for what, call, each, bar in calls.values():
-        times = in_turns({"call": call}, 10, each, thread_time)["call"]
+        times = in_turns({"call": call}, 10 if each > 1 else 3, each, thread_time)["call"]
         shared = _STATES if each == 1 else 1
         yield Measurement(f"{what} [ms], {count:,} observed", p50(times) / 1e3 / shared, bar)
 

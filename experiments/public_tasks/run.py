@@ -53,7 +53,7 @@ class Reacher:
         return missed < REACHED, off, float(-np.expm1(-0.5 * (missed / REACHED) ** 2))
 
 
-class BoxPushing:
+class PushedBox:
     """A box to a place and an angle."""
 
     name, bound = "fancy_ProMP/BoxPushingDense-v0", 1.0
@@ -71,7 +71,7 @@ class BoxPushing:
         return bool(np.ravel(end["is_success"])[-1]), off, float(-np.expm1(-np.linalg.norm(off)))
 
 
-TASKS: dict[str, Any] = {"reacher5d": Reacher, "box-pushing": BoxPushing}
+TASKS: dict[str, Any] = {"reacher5d": Reacher, "box-pushing": PushedBox}
 
 
 def specification(task: Any, environment: Any, seed: int) -> dict[str, Any]:

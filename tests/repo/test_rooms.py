@@ -16,7 +16,7 @@ ROOTS: list[str] = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["t
 
 FULL = 15
 """Modules that a folder may hold."""
-OVERFULL_LEFT: dict[str, int] = {}
+OVERFULL_LEFT: dict[str, int] = {"experiments/crkr/experiments/bench": 16}
 
 SHORT = 60
 """Lines below which a module is probably part of another."""

@@ -159,9 +159,14 @@ class Task(Administration):
         with answer_to("report"):
             return check_receipt(Receipt.from_wire(reply), len(trials))
 
-    def status(self, *, timeout_s: float | None = None) -> dict[str, Any]:
-        """Counts, versions, workers, queues and latencies, as the server sees them."""
-        return self._read("status", {}, timeout_s)
+    def status(self, *, brief: bool = False, timeout_s: float | None = None) -> dict[str, Any]:
+        """Counts, versions, workers, queues and latencies, as the server sees them.
+
+        Args:
+            brief: Counts and versions only, whose cost does not depend on how many workers there are; for polls.
+            timeout_s: The client's unless given.
+        """
+        return self._read("status", {"brief": True} if brief else {}, timeout_s)
 
     def model(self, known_version: int | None = None, *, timeout_s: float | None = None) -> dict[str, Any]:
         """The model as data (arrays, ids as UUIDs), or `unchanged` if its version still is `known_version`."""

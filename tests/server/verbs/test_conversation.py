@@ -139,6 +139,10 @@ def test_status_counts_what_was_reported(ask: Ask, make_trial: MakeTrial) -> Non
     assert (status["seq"], status["model_version"]) == (6, 6)
     assert status["latency_us"]["report"]["p50"] > 0
     assert status["queues"]["report"] == {"waiting": 0, "limit": 4096}
+    brief = ask("task/reach/rpc/status", {"brief": True})
+    assert brief == {name: status[name] for name in brief}
+    assert {"samples", "seq", "model_version"} < set(brief)
+    assert "workers" not in brief
     [listed] = [task for task in ask("rpc/tasks")["tasks"] if task["spec"]["name"] == status["task"]]
     assert (listed["samples"], listed["active"], listed["model_version"]) == (5, 2, 6)
 

@@ -25,6 +25,7 @@ _EXTRAS: Final = {
     "joblib": ("experiments",),
     "matplotlib": ("sim",),
     "mujoco": ("sim", "gymnasium"),
+    "numba": ("fast",),
     "pinocchio": ("sim",),
     "psycopg": ("postgres",),
     "prometheus_client": ("server",),

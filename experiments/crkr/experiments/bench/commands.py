@@ -15,7 +15,7 @@ from crkr.client.cli.options import Json
 if TYPE_CHECKING:
     from crkr.experiments.bench.measurements import Measurement
 
-__all__ = ["dashboard", "learn", "predict", "report", "sim", "tasks"]
+__all__ = ["dashboard", "growth", "learn", "predict", "report", "sim", "tasks"]
 
 
 def predict(
@@ -77,6 +77,27 @@ def learn(
     from crkr.experiments.bench.learn import measure
 
     _measure_with_progress(measure(quick), "learner, d = 6, p = 13, one BLAS thread", as_json)
+
+
+def growth(
+    part: Annotated[
+        list[str] | None,
+        typer.Option("--part", help="insert, learn, guided, polls or ten-million; all but the last unless given."),
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Measure learning with a million samples, trials or many workers beside few; takes minutes.
+
+    Example: crkr bench growth --part insert --part guided
+    """
+    require("scipy", "numba")
+    from crkr.experiments.bench.growth import PARTS, measure
+
+    chosen = tuple(part or PARTS[:-1])
+    if unknown := [one for one in chosen if one not in PARTS]:
+        raise typer.BadParameter(f"parts are {', '.join(PARTS)}; got {', '.join(unknown)}", param_hint="--part")
+    with tempfile.TemporaryDirectory(prefix="crkr-bench-") as folder:
+        _measure_with_progress(measure(Path(folder), chosen), "growth, d = 6, p = 13, one BLAS thread", as_json)
 
 
 def sim(

@@ -6,10 +6,8 @@ little. `crkr` has numpy use one BLAS thread.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
-from pathlib import Path
 from time import thread_time
 from typing import Final
 from uuid import UUID
@@ -20,6 +18,7 @@ from scipy.spatial.distance import cdist
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel
 
+from crkr.experiments.bench.growth import resident
 from crkr.experiments.bench.guided import measure_guided
 from crkr.experiments.bench.measurements import Measurement, in_turns, p50, ratio
 from crkr.experiments.bench.workload import BUDGET, D, P, bench_spec
@@ -168,12 +167,6 @@ def _fit(rng: np.random.Generator) -> Measurement:
     return ratio("cold fit, m = 250 / one factorisation", _times(15, calls), "fit", "factor", 100.0)
 
 
-def _resident() -> float:
-    """Resident memory of this process [bytes]."""
-    pages = int(Path("/proc/self/statm").read_text(encoding="utf-8").split()[1])
-    return float(pages * os.sysconf("SC_PAGE_SIZE"))
-
-
 def _million(rng: np.random.Generator) -> Iterator[Measurement]:
     made: list[Anms] = []
 
@@ -182,7 +175,7 @@ def _million(rng: np.random.Generator) -> Iterator[Measurement]:
         return made[-1]
 
     learner = _add(_learner(BUDGET, remembered), rng, _MANY)
-    before = _resident()
+    before = resident()
     _add(learner, rng, _MILLION - _MANY)
-    yield Measurement("resident bytes a sample, from 1e5 to 1e6", (_resident() - before) / (_MILLION - _MANY), 600.0)
+    yield Measurement("resident bytes a sample, from 1e5 to 1e6", (resident() - before) / (_MILLION - _MANY), 600.0)
     yield _insert(made[0], _MILLION, rng)

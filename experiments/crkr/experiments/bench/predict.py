@@ -165,10 +165,14 @@ def restart_figures(directory: Path, samples: int) -> Iterator[Measurement]:
         done = subprocess.run(arguments, check=False, input=spec, text=True, encoding="utf-8")
         if done.returncode:
             raise Unavailable(f"the log of {count} trials was not written: its process ended with {done.returncode}")
-        with running_server(data):
-            pass
+        started = time.perf_counter()
+        with running_server(data) as client:
+            client.task(workload.TASK).predict(workload.states(1)[0])
+            first = time.perf_counter() - started
     read = min(_bare_read(many) for _ in range(2))
     state = workload.states(1)[0]
+    what = f"{samples} samples: first restart, which searches for the radii, to first predict / bare read"
+    yield ratio(what, {"restart": first, "bare read": read}, "restart", "bare read", 6.0, unit="s")
     with ExitStack() as stack:
         started = time.perf_counter()
         large = stack.enter_context(running_server(many)).task(workload.TASK)

@@ -3,7 +3,7 @@
     X  (n, d + p)  trials in the metric of `OutcomeScales`      Y  (n, q)  outcomes in tolerances from the target
 
 Rows are only appended, so that a snapshot is a view: it costs nothing, and later trials do not touch it. The newest
-`SEARCHED` trials at most are all looked through, which takes about 0.1 ms; older ones are sealed in leaves of
+`SEARCHED` trials at most are all looked through, which takes less than 0.1 ms; older ones are sealed in leaves of
 neighbours, of which a few are looked through (see `SealedTrials`).
 """
 
@@ -25,7 +25,7 @@ from crkr.protocol import Array
 
 __all__ = ["LARGEST_SINGLE", "SEARCHED", "ObservedTrials", "OutcomeIndex", "in_single_precision"]
 
-SEARCHED: Final = 20_000
+SEARCHED: Final = 12_288
 _UNSEALED: Final = SEARCHED - UNIT  # newest trials that are not sealed, at least
 LARGEST_SINGLE: Final = 1e30  # squared length up to which distances are compared in single precision
 _ALIGNED: Final = 4  # numbers of a row, by which matrix products go through it fastest

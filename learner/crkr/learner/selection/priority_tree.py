@@ -3,10 +3,12 @@
     x  (d,)  standardised state          r2  squared radius: distance to the suppressor, the nearest better sample
     c        cost                        d2  squared distance to x
 
-Samples lie in leaves of up to `SLOTS`. A node knows the box of its samples, their lowest and highest cost and largest
-radius, so that one descent leaves out what holds no better sample, or no radius that reaches x. A node splits the
-widest side of its box; equal states are split by cost, equal costs by age, so that no stream of samples makes the tree
-degenerate. Where a path gets too long, the subtree that is out of balance is built anew [Galperin1993].
+Samples lie in leaves of up to `SLOTS`. A node knows the box of its samples and their lowest cost, so that one descent
+leaves out what holds no better sample near by; and it knows the box of their balls, each a sample's radius wide, so
+that another leaves out what has no radius that reaches x. As good samples have wide balls, and only those of worse
+samples matter, there are such boxes for the samples from each of a few costs on. A node splits the widest side of its
+box; equal states are split by cost, equal costs by age, so that no stream of samples makes the tree degenerate. Where a
+path gets too long, the subtree that is out of balance is built anew [Galperin1993].
 
 Distances are sums over dimensions in their order, and a box's distance is rounded like a sample's: bounds are exact,
 and radii have the bits of `squared_distances`. Of equally near better samples the suppressor is a costly one, so that
@@ -25,13 +27,15 @@ from numba import njit
 
 from crkr.protocol import Array
 
-__all__ = ["SLOTS", "Tree", "build", "fill_radii", "insert", "link", "recost", "remove"]
+__all__ = ["LEVELS", "SLOTS", "Tree", "build", "fill_radii", "insert", "link", "recost", "remove"]
 
-SLOTS: Final = 32
-_FILL: Final = 24  # samples in a leaf that was just built
+SLOTS: Final = 128
+LEVELS: Final = 4  # costs from which on boxes of balls are kept
+_FILL: Final = 96  # samples in a leaf that was just built
 _DEEPEST: Final = 128  # a path; the balance keeps it below 70
 _UNBALANCED: Final = 0.7  # share of a node's samples in one child
 _NONE: Final = -1
+_WIDER: Final = 1.0 + 1e-9  # of a ball's box, so that rounding leaves no sample of the ball out
 
 # Columns of `Tree.links`, `Tree.samples`, and entries of `Tree.counts`.
 _PARENT, _CHILD, _LEAF, _COUNT, _AXIS = range(5)  # children are neighbours; _CHILD is the left one
@@ -43,7 +47,9 @@ class Tree(NamedTuple):
     """The arrays of a tree; the root is node 0.
 
     Attributes:
-        boxes: (nodes, 2 d + 4) lowest and highest coordinates, lowest and highest cost, largest r2, where it is split.
+        boxes: (nodes, 2 d + 3) lowest and highest coordinates, lowest and highest cost, where it is split.
+        balls: (nodes, LEVELS, 2 d) lowest and highest coordinates of the balls of samples from each level on.
+        levels: (LEVELS,) costs, the first one -inf, ascending.
         links: (nodes, 5) parent, left child, leaf, number of samples, axis of the split.
         slots: (leaves, d + 2, SLOTS) coordinates, costs and r2 of the samples in a leaf.
         numbers: (leaves, SLOTS + 2) their numbers; how many there are; the leaf's node.
@@ -54,6 +60,8 @@ class Tree(NamedTuple):
     """
 
     boxes: Array
+    balls: Array
+    levels: Array
     links: Any
     slots: Array
     numbers: Any
@@ -79,6 +87,14 @@ def _box_distance(boxes, node, x):
 
 
 @_inner
+def _is_inside(box, x):
+    d, axis = len(x), 0
+    while axis < d and box[axis] <= x[axis] <= box[d + axis]:
+        axis += 1
+    return axis == d
+
+
+@_inner
 def _distances(slots, leaf, count, x, d2):
     """Squared distances of a leaf's samples to x, into d2."""
     block = slots[leaf]
@@ -96,35 +112,59 @@ def _distances(slots, leaf, count, x, d2):
 
 @_inner
 def _summarise(tree, node, d):
-    """The node's box, costs and largest radius from its samples."""
+    """The node's boxes and costs from its samples. A radius of 0 is no ball: nothing is nearer."""
     leaf = tree.links[node, _LEAF]
     count = tree.numbers[leaf, SLOTS]
-    box, block = tree.boxes[node], tree.slots[leaf]
-    for axis in range(d + 2):
+    box, balls, block = tree.boxes[node], tree.balls[node], tree.slots[leaf]
+    for axis in range(d + 1):
         row = block[axis]
         low, high = np.inf, -np.inf
         for slot in range(count):
             low, high = min(low, row[slot]), max(high, row[slot])
         if axis < d:
             box[axis], box[d + axis] = low, high
-        elif axis == d:
-            box[2 * d], box[2 * d + 1] = low, high
         else:
-            box[2 * d + 2] = high
+            box[2 * d], box[2 * d + 1] = low, high
+    balls[:, :d], balls[:, d:] = np.inf, -np.inf
+    for slot in range(count):
+        reach = np.sqrt(block[d + 1, slot]) * _WIDER
+        if reach > 0:
+            level = 0  # the last one that the sample is from
+            while level + 1 < LEVELS and block[d, slot] >= tree.levels[level + 1]:
+                level += 1
+            for axis in range(d):
+                balls[level, axis] = min(balls[level, axis], block[axis, slot] - reach)
+                balls[level, d + axis] = max(balls[level, d + axis], block[axis, slot] + reach)
+    for level in range(LEVELS - 2, -1, -1):
+        for axis in range(d):
+            balls[level, axis] = min(balls[level, axis], balls[level + 1, axis])
+            balls[level, d + axis] = max(balls[level, d + axis], balls[level + 1, d + axis])
+
+
+@_inner
+def _join(into, left, right, d):
+    """The box around two; whether it is another than before."""
+    changed = False
+    for column in range(2 * d):
+        value = min(left[column], right[column]) if column < d else max(left[column], right[column])
+        if value != into[column]:
+            into[column] = value
+            changed = True
+    return changed
 
 
 @_inner
 def _pull(tree, node, d):
     """The same from its children; whether anything changed."""
-    child, box = tree.links[node, _CHILD], tree.boxes[node]
-    left, right = tree.boxes[child], tree.boxes[child + 1]
-    changed = False
-    for column in range(2 * d + 3):
-        lowest = column < d or column == 2 * d
-        value = min(left[column], right[column]) if lowest else max(left[column], right[column])
-        if value != box[column]:
-            box[column] = value
-            changed = True
+    child, boxes, balls = tree.links[node, _CHILD], tree.boxes, tree.balls
+    changed = _join(boxes[node], boxes[child], boxes[child + 1], d)
+    for level in range(LEVELS):
+        changed |= _join(balls[node, level], balls[child, level], balls[child + 1, level], d)
+    lowest = min(boxes[child, 2 * d], boxes[child + 1, 2 * d])
+    highest = max(boxes[child, 2 * d + 1], boxes[child + 1, 2 * d + 1])
+    if lowest != boxes[node, 2 * d] or highest != boxes[node, 2 * d + 1]:
+        boxes[node, 2 * d], boxes[node, 2 * d + 1] = lowest, highest
+        changed = True
     return changed
 
 
@@ -227,14 +267,17 @@ def _nearest_better(tree, x, cost, number, d2):
 def _shrink_others(tree, x, cost, number, d2):
     """Gives this sample as suppressor to the worse ones that it is nearer to than theirs."""
     d = len(x)
-    boxes, links = tree.boxes, tree.links
+    boxes, balls, links = tree.boxes, tree.balls, tree.links
+    level = 0
+    while level + 1 < LEVELS and cost >= tree.levels[level + 1]:
+        level += 1
     waiting = np.empty(_DEEPEST, np.int32)
     waiting[0] = 0
     count = 1
     while count:
         count -= 1
         node = waiting[count]
-        if boxes[node, 2 * d + 1] < cost or not _box_distance(boxes, node, x) < boxes[node, 2 * d + 2]:
+        if boxes[node, 2 * d + 1] < cost or not _is_inside(balls[node, level], x):
             continue
         child = links[node, _CHILD]
         if child >= 0:
@@ -399,7 +442,7 @@ def build(tree, root, Z, costs, r2, numbers):
         _select(keys, order, start, middle, stop)
         left = _new_pair(tree, node)
         tree.links[node, _AXIS] = axis
-        tree.boxes[node, 2 * d + 3] = keys[middle]
+        tree.boxes[node, 2 * d + 2] = keys[middle]
         for child in range(2):
             made[nodes] = left + child
             nodes += 1
@@ -462,7 +505,7 @@ def _add(tree, number, x, cost, radius):
             _rebuild(tree, node, d)
             continue
         key = _key(tree.links[node, _AXIS], x, cost, number)
-        node = child + 1 if key >= tree.boxes[node, 2 * d + 3] else child
+        node = child + 1 if key >= tree.boxes[node, 2 * d + 2] else child
         depth += 1
     _put(tree, tree.links[node, _LEAF], number, x, cost, radius)
     _tighten(tree, node, d)

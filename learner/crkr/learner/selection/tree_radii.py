@@ -9,16 +9,17 @@ from numpy.typing import NDArray
 
 from crkr.learner.selection import priority_tree
 from crkr.learner.selection.anms_batch import Indices
-from crkr.learner.selection.priority_tree import SLOTS, Tree
+from crkr.learner.selection.priority_tree import LEVELS, SLOTS, Tree
 from crkr.learner.selection.selector import Radii
 from crkr.protocol import Array
 
 __all__ = ["TreeRadii"]
 
-_FEWEST_IN_LEAF: Final = 12  # when it is made
+_FEWEST_IN_LEAF: Final = 48  # when it is made
 _SPARE: Final = 64  # leaves
 _NOTED: Final = 4096  # changed radii that are told one by one
 _FIRST_CAPACITY: Final = 1024  # samples
+_SHARES: Final = (0.03, 0.12, 0.5)  # of the samples that are better than each level
 
 
 @final
@@ -83,12 +84,17 @@ class TreeRadii:
 
     def rebuild(self, Z: Array, costs: Array, radii: Radii | None = None) -> None:
         """Take these samples; without their radii, in about n log n."""
+        self._build(Z, costs, radii, max(len(costs), _FIRST_CAPACITY))
+
+    def _build(self, Z: Array, costs: Array, radii: Radii | None, room: int) -> None:
         self._count = len(costs)
-        self._tree = _empty(self._d, max(self._count, _FIRST_CAPACITY))
+        self._tree = _empty(self._d, room)
         tree, alive = self._tree, np.flatnonzero(~np.isnan(costs))
         tree.samples[: self._count], tree.r2[: self._count] = -1, -1.0
+        if len(alive):
+            tree.levels[1:] = np.quantile(costs[alive], _SHARES)
         squared = np.zeros(len(alive)) if radii is None else np.array(radii.squared)
-        priority_tree.build(tree, 0, np.array(Z[alive]), np.array(costs[alive]), squared, alive)
+        priority_tree.build(tree, 0, np.ascontiguousarray(Z[alive]), costs[alive], squared, alive)
         tree.counts[4] = len(alive)
         if radii is None:
             priority_tree.fill_radii(tree, 0, int(tree.counts[1]))
@@ -102,27 +108,22 @@ class TreeRadii:
         return self._tree.touched[:touched].copy() if touched <= _NOTED else None
 
     def _reserve(self, count: int) -> None:
-        """Room for `count` samples and all nodes and leaves that they can take."""
+        """Room for `count` samples and all nodes and leaves that they can take, in a tree built anew."""
         if count > len(self._tree.r2):
-            old, grown = self._tree, _empty(self._d, max(count, 2 * len(self._tree.r2)))
-            nodes, leaves = old.counts[:2].tolist()
-            for before, after, used in (
-                (old.boxes, grown.boxes, nodes),
-                (old.links, grown.links, nodes),
-                (old.slots, grown.slots, leaves),
-                (old.numbers, grown.numbers, leaves),
-                (old.samples, grown.samples, self._count),
-                (old.r2, grown.r2, self._count),
-                (old.counts, grown.counts, len(old.counts)),
-            ):
-                after[:used] = before[:used]
-            self._tree = grown
+            before = self._tree
+            room, alive = max(count, 2 * len(before.r2)), before.r2[: self._count] >= 0
+            position = np.cumsum(alive) - 1
+            suppressor = self.suppressors[alive].astype(np.int64)
+            radii = Radii(self.r2[alive], np.where(suppressor < 0, -1, position[suppressor]))
+            self._build(*self.samples(), radii, room)
 
 
 def _empty(d: int, samples: int) -> Tree:
     leaves = samples // _FEWEST_IN_LEAF + _SPARE
     return Tree(
-        boxes=np.empty((2 * leaves, 2 * d + 4)),
+        boxes=np.empty((2 * leaves, 2 * d + 3)),
+        balls=np.empty((2 * leaves, LEVELS, 2 * d)),
+        levels=np.concatenate([[-np.inf], np.full(LEVELS - 1, np.inf)]),
         links=_links(2 * leaves),
         slots=np.empty((leaves, d + 2, SLOTS)),
         numbers=np.empty((leaves, SLOTS + 2), dtype=np.int32),

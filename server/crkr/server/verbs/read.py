@@ -25,7 +25,7 @@ from crkr.protocol import (
     pack_around,
     trial_ids,
 )
-from crkr.protocol.checks import integer, required
+from crkr.protocol.checks import flag, integer, required
 from crkr.server.learning.tasks import ServedTask, Tasks, hyperparameters
 from crkr.server.learning.thread import Learning
 from crkr.server.log import LogReader
@@ -135,11 +135,9 @@ class Reader:
         request.reply_packed(pack_around(about, "spec", task.packed_spec()))
 
     def _status(self, request: Request) -> None:
-        request.message()
+        brief = flag(request.message().get("brief", False), "brief")
         task = self._tasks.look(request.task)
         model = task.model
-        queues = {**self._queues(), "learning": {"waiting": self._learning.backlog}}
-        workers, more_workers = _most_present(self._workers.status(task.name))
         status: dict[str, Any] = {
             "task": task.name,
             "samples": {kind: task.samples[kind] for kind in KINDS},
@@ -147,8 +145,15 @@ class Reader:
             "active": model.active,
             "seq": task.seq,
             "model_version": model.version,
-            "hyperparameters": hyperparameters(model),
             "archived": task.archived,
+        }
+        if brief:
+            request.reply(status)
+            return
+        queues = {**self._queues(), "learning": {"waiting": self._learning.backlog}}
+        workers, more_workers = _most_present(self._workers.status(task.name))
+        status |= {
+            "hyperparameters": hyperparameters(model),
             "workers": workers,
             "queues": queues,
             "latency_us": self._latencies.summary(),

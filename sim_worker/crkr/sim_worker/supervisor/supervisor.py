@@ -21,7 +21,9 @@ __all__ = ["Supervisor", "training_trials"]
 
 TICKETS_AHEAD: Final = 2  # so that a worker never waits for its supervisor
 POLL_S: Final = 0.2
-SHARED_POLL_S: Final = 0.05  # where others train towards the same total
+SHARED_POLL_S: Final = 0.05  # where others train towards the same total, and it is near, or this supervisor judges
+LONGEST_POLL_S: Final = 2.0
+_LOOKS: Final = 10  # at the count, while what is left shrinks to a third
 STATUS_TIMEOUT_S: Final = 1.0
 
 
@@ -73,6 +75,8 @@ class Supervisor:
         # Two calls of a trial may take their whole deadline before the worker reports that the server is away.
         self._stalls: StallWatch[WorkerProcess] = StallWatch(plan.stall_s + 2 * plan.timeout_s)
         self._next_poll = 0.0
+        self._rate = 0.0  # training trials stored a second, of all supervisors
+        self._looked = (time.monotonic(), trained)
         self._started = time.monotonic()
 
     def run(self) -> RunReport:
@@ -85,7 +89,7 @@ class Supervisor:
                 self._assign_epochs()
             while not (stop or self._report.problem or self._finished):
                 self._hand_out()
-                for worker, event in processes.events(self._poll_s):
+                for worker, event in processes.events(min(self._poll_s, POLL_S)):
                     self._handle(worker, event)
                     self._assign_epochs()
                 self._poll()
@@ -136,7 +140,14 @@ class Supervisor:
 
     @property
     def _poll_s(self) -> float:
-        return SHARED_POLL_S if self._quota.shared or self._at_the_end else POLL_S
+        """Seconds between looks: a tenth of what is left to train takes, so that a hundred supervisors ask little."""
+        judges = self._judge is not None and self._judge.clock is not None
+        if self._at_the_end or (judges and self._quota.shared):
+            return SHARED_POLL_S
+        left = self._quota.left
+        if judges or left is None or not self._rate or not self._quota.shared:
+            return POLL_S if judges or left is not None else LONGEST_POLL_S / 2
+        return min(max(left / self._rate / _LOOKS, SHARED_POLL_S), LONGEST_POLL_S)
 
     def _poll(self) -> None:
         """Asks the server for the trials of other supervisors, and whether the total is reached."""
@@ -145,9 +156,12 @@ class Supervisor:
         self._next_poll = time.monotonic() + self._poll_s
         under_way = sum(worker.tickets for worker in self._workers)
         try:
-            stored = training_trials(self._task.status(timeout_s=STATUS_TIMEOUT_S))
+            stored = training_trials(self._task.status(brief=True, timeout_s=STATUS_TIMEOUT_S))
         except CrkrError:
             return  # the workers, which are more patient, report that the server is away
+        now, (before, seen) = time.monotonic(), self._looked
+        if now - before >= POLL_S:
+            self._rate, self._looked = max(0, stored - seen) / (now - before), (now, stored)
         self._quota.observe(stored)
         if self._quota.left == 0 and not under_way:
             self._quota.settle(stored)

@@ -36,6 +36,9 @@ _Check = tuple[str, bool, str]
 
 
 def doctor(
+    connect: Connect = None,
+    timeout: Timeout = 5.0,
+    zenoh_config: ZenohConfig = None,
     data: Annotated[
         str | None,
         typer.Option("--data", metavar="DIR|URL", help="Also check the disk of a data directory, or a database."),
@@ -43,9 +46,6 @@ def doctor(
     outbox: Annotated[
         Path | None, typer.Option("--outbox", metavar="FILE", help="Also check an outbox that no program has open.")
     ] = None,
-    connect: Connect = None,
-    timeout: Timeout = 5.0,
-    zenoh_config: ZenohConfig = None,
     as_json: Json = False,
 ) -> None:
     """Check versions, connection, protocol, round trip and disk; exits 1 if something is wrong.

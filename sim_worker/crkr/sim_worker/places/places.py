@@ -41,18 +41,7 @@ class Places(Protocol):
     def spread(
         self, skill: str, options: SkillOptions, work: Callable[[Skill, Part], Result], parts: Sequence[Part], jobs: int
     ) -> Iterator[Result]:
-        """Does `work` on every part as `supervisor.pool.spread` does; yields results as they come.
-
-        Args:
-            skill: Name of the skill that each process makes.
-            options: How.
-            work: A function of a module, with a process's skill and a part.
-            parts: Plain data.
-            jobs: How many at a time; a cluster runs as many as it has processors.
-
-        Raises:
-            CrkrError: A process was lost, or what `work` raises.
-        """
+        """Does `work` on every part as `supervisor.pool.spread` does; a cluster runs as many as it has processors."""
 
 
 @final

@@ -18,6 +18,7 @@ import pytest
 import zenoh
 from hypothesis import HealthCheck, settings
 from postgres import Postgres, running_postgres
+from shared_server import SERVER_PYTHON
 
 # Property tests are about values, not about time: a busy machine is no failure.
 settings.register_profile("values", deadline=None, max_examples=60, suppress_health_check=[HealthCheck.too_slow])
@@ -88,7 +89,7 @@ def wait_until_ready(server: RunningServer) -> None:
 @contextmanager
 def running_server(data: Path | str, log: Path, port: int, *options: str) -> Iterator[RunningServer]:
     endpoint = f"tcp/127.0.0.1:{port}"
-    command = [sys.executable, "-m", "crkr.client", "server", "--listen", endpoint, "--data", str(data), *options]
+    command = [SERVER_PYTHON, "-m", "crkr.client", "server", "--listen", endpoint, "--data", str(data), *options]
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
     with log.open("ab") as sink, subprocess.Popen(command, stdout=sink, stderr=sink, env=environment) as process:
         server = RunningServer(endpoint, port, data, log, process)

@@ -14,7 +14,7 @@ import pytest
 from jumping import practise, run, specification
 
 from crkr.client import AsyncClient
-from crkr.client.call_threads import AwaitedCalls
+from crkr.client.call_threads import TIMED_OUT, AwaitedCalls
 from crkr.protocol import NoSamples, Unavailable
 
 PATIENCE_S = 20.0
@@ -119,7 +119,7 @@ def test_a_receive_that_is_cancelled_loses_no_publication(shared_endpoint: str) 
                 for _ in range(3):
                     while await notices.receive(0.2) is not None:
                         pass
-                    with pytest.raises(TimeoutError):
+                    with pytest.raises(TIMED_OUT):
                         await asyncio.wait_for(notices.receive(PATIENCE_S), 0.05)
                     await practise(task, 1)
                     last = (await task.status())["model_version"]

@@ -3,7 +3,7 @@
 from collections import OrderedDict
 from datetime import datetime
 from decimal import Decimal
-from enum import StrEnum
+from enum import Enum
 from typing import Any
 from uuid import UUID
 
@@ -25,7 +25,7 @@ SPEC = TaskSpec.from_dict(
 )
 
 
-class Arm(StrEnum):
+class Arm(str, Enum):  # noqa: UP042 - as it is on Python 3.10 too
     LEFT = "left"
 
 

@@ -59,6 +59,8 @@ def missing(text: str, requirements: list[str]) -> list[str]:
     for wanted in flatten(requirements):
         for minor in range(11, 15):
             environment = {"python_version": f"3.{minor}", "python_full_version": f"3.{minor}.0"}
+            if wanted.marker is not None and not wanted.marker.evaluate(environment):
+                continue
             versions = [
                 next(iter(pin.specifier)).version
                 for pin in locked.get(canonicalize_name(wanted.name), [])

@@ -9,9 +9,11 @@ import sys
 import time
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import pytest
+
+from crkr.protocol.earlier_python import Self
 
 PATIENCE_S = 60.0
 OPTIONS = (

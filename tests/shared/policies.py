@@ -2,7 +2,7 @@
 
 import asyncio
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Protocol, Unpack
+from typing import Any, Protocol
 from uuid import UUID, uuid4
 
 from crkr.client import AsyncPolicy, AsyncTask, Policy, Task
@@ -15,6 +15,7 @@ from crkr.protocol import (
     TaskSpec,
     TrialFields,
 )
+from crkr.protocol.earlier_python import Unpack
 
 Fields = dict[str, Any]
 

@@ -16,9 +16,11 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import psycopg
+
+from crkr.protocol.earlier_python import Self
 
 NOBODY = 65534
 READY_WITHIN_S = 60.0

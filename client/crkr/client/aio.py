@@ -14,7 +14,7 @@ from concurrent.futures import Future
 from pathlib import Path
 from typing import Any, Concatenate, Final, ParamSpec, TypeVar, final
 
-from crkr.client.call_threads import AwaitedCalls, CallThreads, run_aside
+from crkr.client.call_threads import TIMED_OUT, AwaitedCalls, CallThreads, run_aside, timeout_at
 from crkr.client.client import Client, TaskSummary
 from crkr.client.lifetimes import AsyncClosing, check_not_forked
 from crkr.client.network.subscription import TOPICS, Subscription
@@ -121,14 +121,14 @@ class AsyncSubscription(AsyncClosing):
         """
         check_not_forked()
         try:
-            async with asyncio.timeout(timeout_s), self._reading:
+            async with timeout_at(asyncio.get_running_loop().time() + timeout_s), self._reading:
                 while (message := self._at_hand()) is None and not self._over():
                     if self._next is None:
                         wait = functools.partial(self._subscription.receive, _LISTEN_S)
                         self._next = self._threads.submit(wait)
                     await asyncio.wrap_future(self._next)
                 return message
-        except TimeoutError:
+        except TIMED_OUT:
             return self._at_hand()
 
     async def close(self) -> None:

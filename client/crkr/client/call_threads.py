@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import functools
+import sys
 import threading
 import weakref
 from collections.abc import Callable
@@ -19,7 +20,14 @@ from crkr.client.checks import positive
 from crkr.client.lifetimes import check_not_forked
 from crkr.protocol import Invalid, Unavailable
 
-__all__ = ["AwaitedCalls", "CallThreads", "run_aside"]
+if sys.version_info >= (3, 11):
+    from asyncio import timeout_at
+else:
+    from async_timeout import timeout_at
+
+__all__ = ["TIMED_OUT", "AwaitedCalls", "CallThreads", "run_aside", "timeout_at"]
+
+TIMED_OUT = (TimeoutError, asyncio.TimeoutError)  # one and the same from Python 3.11 on
 
 _T = TypeVar("_T")
 
@@ -109,9 +117,9 @@ class AwaitedCalls:
         deadline = loop.time() + (self.timeout_s if timeout_s is None else positive(timeout_s))
         slots = self._slots_in(loop)
         try:
-            async with asyncio.timeout_at(deadline):
+            async with timeout_at(deadline):
                 await slots.acquire()
-        except TimeoutError as error:
+        except TIMED_OUT as error:
             raise Unavailable(
                 f"{self.most} calls were in progress until the deadline; raise in_flight or timeout_s, "
                 "or ask for many states in one call"

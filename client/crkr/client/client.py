@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, Final, NotRequired, TypedDict, final
+from typing import Any, Final, TypedDict, final
 from uuid import UUID
 
 from crkr.client.checks import answer_to, plain
@@ -17,6 +17,7 @@ from crkr.client.task import Task
 from crkr.client.transport import Transport
 from crkr.protocol import Invalid, TaskSpec, check_name, rpc_key
 from crkr.protocol.checks import flag, integer, required, text
+from crkr.protocol.earlier_python import NotRequired
 
 __all__ = ["Client", "TaskSummary"]
 

@@ -11,10 +11,11 @@ import ctypes
 import os
 from abc import ABC, abstractmethod
 from contextlib import suppress
-from typing import Final, Self
+from typing import Final
 from weakref import WeakKeyDictionary
 
 from crkr.protocol import Unavailable
+from crkr.protocol.earlier_python import Self
 
 __all__ = ["AsyncClosing", "Closing", "check_not_forked", "hold", "is_forked", "leave_in_child", "release", "stay"]
 

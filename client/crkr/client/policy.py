@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol, Unpack
+from typing import Protocol
 from uuid import UUID
 
 from crkr.protocol import Prediction, Receipt, TrialFields
+from crkr.protocol.earlier_python import Unpack
 
 __all__ = ["AsyncPolicy", "Policy"]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Unpack, final
+from typing import TYPE_CHECKING, Any, Final, final
 from uuid import UUID
 
 from crkr.client.administration import Administration
@@ -40,6 +40,7 @@ from crkr.protocol import (
     unpack,
 )
 from crkr.protocol.checks import finite_array, flag, integer, required, text
+from crkr.protocol.earlier_python import Unpack
 from crkr.protocol.messages.predict_bytes import packed_question, read_answer
 
 if TYPE_CHECKING:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
-from typing import Any, Final, Unpack, final
+from typing import Any, Final, final
 from uuid import UUID
 
 import numpy as np
@@ -37,6 +37,7 @@ from crkr.protocol import (
     id_from_wire,
     make_trials,
 )
+from crkr.protocol.earlier_python import Unpack
 
 __all__ = ["SELECTORS", "Learner"]
 

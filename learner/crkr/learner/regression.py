@@ -24,6 +24,7 @@ from scipy.linalg import blas
 from crkr.learner.cholesky import factor, solve, solve_lower
 from crkr.learner.kernel import Kernel
 from crkr.protocol import Array, Internal
+from crkr.protocol.earlier_python import vecdot
 
 __all__ = ["KernelMaker", "Regression"]
 
@@ -120,7 +121,7 @@ class Regression:
             k = self.kernel.matrix(Z[block], self.Z, out=rows[: block.stop - start])
             np.matmul(k, self.W, out=means[block])
             V = solve_lower(self.L, k.T)  # (m, b), in place of k
-            variances[block] -= np.vecdot(V.T, V.T)
+            variances[block] -= vecdot(V.T, V.T)
         return means, np.maximum(variances, 0.0), prior
 
     def influence(self, z: Array) -> Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import sys
 from collections.abc import Callable
 from contextlib import suppress
 from importlib.util import find_spec
@@ -13,7 +14,7 @@ import typer
 from crkr.client.cli.standard_streams import READER_GONE, discard_output
 from crkr.protocol import CrkrError, printable
 
-__all__ = ["guarded", "reason_missing", "require"]
+__all__ = ["guarded", "later_python", "reason_missing", "require"]
 
 # Import name -> extras that install it; the command's own extra is preferred, else the first.
 _EXTRAS: Final = {
@@ -37,6 +38,7 @@ _EXTRAS: Final = {
     "starlette": ("web",),
     "uvicorn": ("web",),
 }
+_PYTHON: Final = (3, 11)  # of all parts but the client
 _EXTRA_OF_PART: Final = {
     "client": "mirror",
     "server": "server",
@@ -81,6 +83,14 @@ def require(*packages: str) -> None:
     for package in packages:
         if find_spec(package) is None:
             raise ModuleNotFoundError(f"No module named {package!r}", name=package)
+
+
+def later_python(command: str, module: str) -> str | None:
+    """Why a command cannot run on this Python, which only the client's commands may; None if it can."""
+    package, part = [*module.split("."), "", ""][:2]
+    if sys.version_info >= _PYTHON or package != "crkr" or part == "client" or part not in _EXTRA_OF_PART:
+        return None
+    return f"crkr {command} needs Python 3.11 or newer; this is {sys.version_info[0]}.{sys.version_info[1]}"
 
 
 def reason_missing(error: Exception, command: str, module: str) -> str:

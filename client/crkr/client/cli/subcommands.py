@@ -8,7 +8,7 @@ from typing import Annotated, Final
 
 import typer
 
-from crkr.client.cli.error_lines import guarded, reason_missing
+from crkr.client.cli.error_lines import guarded, later_python, reason_missing
 
 __all__ = ["build"]
 
@@ -85,12 +85,16 @@ def _panel(name: str) -> str:
 def _register(app: typer.Typer, name: str, entry: EntryPoint, panel: str | None) -> None:
     """Adds the command; where it cannot be imported, adds one that takes any arguments and says why."""
     command, module = entry.name.replace(".", " "), entry.value.split(":")[0]
-    try:
-        app.command(name, rich_help_panel=panel)(guarded(entry.load(), command, module))
-    except (ImportError, AttributeError) as error:
-        lenient = {"ignore_unknown_options": True, "allow_extra_args": True}
-        absent = _absent(reason_missing(error, command, module))
-        app.command(name, rich_help_panel=panel, context_settings=lenient)(absent)
+    reason = later_python(command, module)
+    if reason is None:
+        try:
+            app.command(name, rich_help_panel=panel)(guarded(entry.load(), command, module))
+        except (ImportError, AttributeError) as error:
+            reason = reason_missing(error, command, module)
+        else:
+            return
+    lenient = {"ignore_unknown_options": True, "allow_extra_args": True}
+    app.command(name, rich_help_panel=panel, context_settings=lenient)(_absent(reason))
 
 
 def _absent(reason: str) -> Callable[[], None]:

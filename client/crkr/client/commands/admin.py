@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-import tomllib
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Any
 
@@ -13,6 +12,11 @@ from crkr.client import Client
 from crkr.client.cli.console import json_data, print_json, stderr, stdout, tidy
 from crkr.client.cli.options import Connect, Json, Timeout, ZenohConfig, parse_ids
 from crkr.protocol import Invalid
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
 
 __all__ = ["archive", "configure", "delete", "recost", "refit", "remove", "rename", "rollback", "show_answer"]
 

@@ -8,7 +8,7 @@ import shutil
 import statistics
 import tempfile
 import time
-from datetime import UTC, datetime
+from datetime import datetime
 from importlib.metadata import entry_points, version
 from pathlib import Path
 from typing import Annotated, Any
@@ -25,6 +25,7 @@ from crkr.client.network.tls_handshake import certificate_end
 from crkr.client.network.zenoh_transport import ZenohTransport
 from crkr.client.outbox.outbox_file import OutboxFile
 from crkr.protocol import PROTOCOL_VERSION, CrkrError, Invalid, Unavailable
+from crkr.protocol.earlier_python import UTC
 
 __all__ = ["doctor"]
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 import sys
-import tomllib
 from collections.abc import Iterator
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -14,6 +13,11 @@ from typing import Any, Final
 from crkr.client.cli.error_lines import reason_missing
 from crkr.client.cli.output_file import check_input
 from crkr.protocol import Invalid, StorageError, TaskSpec, Unsupported
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
 
 __all__ = ["STANDARD_OUTPUT", "read_spec", "skill_spec", "write_spec"]
 

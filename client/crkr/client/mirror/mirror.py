@@ -11,7 +11,7 @@ import threading
 import time
 import weakref
 from collections.abc import Callable, Sequence
-from typing import Final, Unpack, final
+from typing import Final, final
 from uuid import UUID
 
 from crkr.client.checks import positive
@@ -33,6 +33,7 @@ from crkr.protocol import (
     check_states,
     random_ids,
 )
+from crkr.protocol.earlier_python import Unpack
 
 __all__ = ["Mirror"]
 

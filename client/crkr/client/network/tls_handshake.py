@@ -11,9 +11,10 @@ import re
 import socket
 import ssl
 import time
+from concurrent.futures import TimeoutError as FutureTimeoutError
 from contextlib import suppress
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import datetime
 from functools import partial
 from pathlib import Path
 from typing import Any, Final, final
@@ -21,6 +22,7 @@ from typing import Any, Final, final
 import zenoh
 
 from crkr.client.call_threads import CallThreads
+from crkr.protocol.earlier_python import UTC
 
 __all__ = ["certificate_end", "connection_to", "refusal"]
 
@@ -127,7 +129,7 @@ def connection_to(host: str, port: int, deadline: float, kind: socket.SocketKind
     threads.close()
     try:
         addresses = looked_up.result(max(0.001, deadline - time.monotonic()))
-    except TimeoutError as error:
+    except (TimeoutError, FutureTimeoutError) as error:  # one and the same from Python 3.11 on
         raise socket.gaierror(socket.EAI_AGAIN, "the name server does not answer") from error
     failure = OSError(f"{host} has no address")
     for family, *_, address in addresses:

@@ -10,7 +10,7 @@ import logging
 import threading
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, Final, Unpack, final
+from typing import Any, Final, final
 from uuid import UUID
 
 from crkr.client.checks import answer_to, check_receipt, positive
@@ -30,6 +30,7 @@ from crkr.protocol import (
     make_trials,
     task_key,
 )
+from crkr.protocol.earlier_python import Unpack
 
 __all__ = ["Outbox"]
 

@@ -64,7 +64,8 @@ class NpzSink:
                 arrays[name] = _array(columns[name], kind)
         lines = "".join(f"{text or ''}\n" for text in columns["info"])
         arrays["info"] = np.frombuffer(lines.encode(), np.uint8)
-        np.savez(self._file, allow_pickle=False, **arrays)
+        save: Any = np.savez  # numpy 1 has no allow_pickle; none of these arrays holds objects
+        save(self._file, **arrays)
 
 
 @final

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.special import expit
 
 from crkr.protocol import Array
+from crkr.protocol.earlier_python import vecdot
 
 __all__ = ["SuccessCurve", "SuccessRate"]
 
@@ -81,7 +82,7 @@ class SuccessRate:
         A mean weighted by the squared-exponential kernel, drawn towards the mean of all as if by two more trials.
         """
         away = self.Z - (z if z.ndim == 1 else z[:, None])
-        near = np.exp(-0.5 * np.vecdot(away, away))
+        near = np.exp(-0.5 * vecdot(away, away))
         hits = near @ self.success + _MORE_TRIALS * self.success.mean()
         rate = hits / (near.sum(axis=-1) + _MORE_TRIALS)
         return np.asarray(np.minimum(rate, 1.0))  # which rounding exceeds by a bit

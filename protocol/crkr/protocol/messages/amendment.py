@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Self, final
+from typing import Any, final
 from uuid import UUID
 
 from crkr.protocol.checks import choice, cost_number, flag, refuse_masked, required, text
 from crkr.protocol.codec import MAX_TRIALS, frozen_from_wire, id_from_wire
+from crkr.protocol.earlier_python import Self
 from crkr.protocol.errors import Invalid
 from crkr.protocol.trial import AMENDABLE, KINDS
 

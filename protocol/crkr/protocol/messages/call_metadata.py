@@ -7,11 +7,12 @@ is optional: a server that does not know it, and a client that does not send it,
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final, Self, final
+from typing import Final, final
 
 import msgpack
 
 from crkr.protocol.codec import pack
+from crkr.protocol.earlier_python import Self
 
 __all__ = ["LONGEST_METADATA", "CallMetadata"]
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, TypedDict, Unpack
+from typing import Any, TypedDict
 from uuid import UUID, uuid4
 
 import numpy as np
 
 from crkr.protocol.checks import finite_array, refuse_masked
 from crkr.protocol.codec import id_from_wire
+from crkr.protocol.earlier_python import Unpack
 from crkr.protocol.errors import Invalid
 from crkr.protocol.messages.predict import Prediction, check_states
 from crkr.protocol.specification.task_spec import TaskSpec

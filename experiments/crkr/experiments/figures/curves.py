@@ -12,9 +12,9 @@ import numpy as np
 from crkr.experiments.learning.run import LearningRun
 from crkr.sim_worker.figure import new_figure, save_figure
 
-__all__ = ["draw_epochs", "draw_learning"]
+__all__ = ["draw_epochs", "draw_learning", "draw_summaries"]
 
-COLOURS: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7")  # told apart by the colour-blind too
+COLOURS: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")  # the colour-blind can tell them
 EARLY: Final = 50  # trials up to which the horizontal axis is linear
 DASH: Final = 3.0  # [points]
 
@@ -90,4 +90,29 @@ def draw_epochs(ways: Mapping[str, Sequence[LearningRun]], criterion: str, title
     axes.set_ylabel(f"success rate ({criterion}) in {first[0].curve[0].contexts} fixed contexts")
     axes.grid(alpha=0.3)
     axes.legend(loc="lower right", title=f"mean and range of {len(first)} runs", fontsize="small")
+    save_figure(figure, path)
+
+
+def draw_summaries(table: Sequence[Mapping[str, Any]], title: str, path: Path) -> None:
+    """Save each way's interquartile mean with its 95 % interval over the training trials.
+
+    Args:
+        table: Rows of `study.rows.summary_table`, each judged after more than 0 trials.
+        title: Of the figure.
+        path: E.g. rivals.png.
+    """
+    figure = new_figure(7.0, 4.2)
+    axes = figure.add_subplot()
+    ticks = sorted({mark for row in table for mark in row["marks"]})
+    for row, colour in zip(table, cycle(COLOURS), strict=False):
+        trials, found = list(row["marks"]), list(row["marks"].values())
+        mean = np.array([one.mean for one in found])
+        reach = np.array([[one.mean - one.low for one in found], [one.high - one.mean for one in found]])
+        axes.errorbar(trials, mean, np.maximum(reach, 0), color=colour, marker="o", capsize=3, label=row["way"])
+    axes.set(title=title, xlabel="training trials, logarithmic", ylabel="success rate", ylim=(0.0, 1.01))
+    axes.set_xscale("log")
+    axes.set_xticks(ticks, [str(tick) for tick in ticks])
+    axes.set_xticks([], minor=True)
+    axes.grid(alpha=0.3)
+    axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize="small")
     save_figure(figure, path)

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 __all__ = ["rivals"]
 
 _FILE: Final = "rivals.csv"
+_FIGURE: Final = "rivals.png"
 
 
 def rivals(
@@ -35,7 +36,7 @@ def rivals(
     skill: Annotated[str, typer.Option(help="A skill, or package.module:factory.")] = "table-tennis",
     jobs: Annotated[int, typer.Option(min=1, max=256, help="Processes of this machine.")] = 2,
     on: Annotated[str, typer.Option("--on", help="Where runs are made: here or ray, a cluster.")] = "here",
-    out: Annotated[Path | None, typer.Option(file_okay=False, help="Keep rows in rivals.csv here, and go on.")] = None,
+    out: Annotated[Path | None, typer.Option(file_okay=False, help="Keep and go on with rivals.csv here.")] = None,
     json: Json = False,
 ) -> None:
     """Compare crkr with what one would use instead.
@@ -49,6 +50,7 @@ def rivals(
     from statistics import median
 
     from crkr.client.cli.progress import Progress
+    from crkr.experiments.figures.curves import draw_summaries
     from crkr.experiments.rivals.comparison import RIVALS, Contest
     from crkr.experiments.study.rows import Rows, print_summary, summary_table
     from crkr.protocol import Invalid
@@ -72,10 +74,12 @@ def rivals(
             progress.show(done, f"{found[0].way}, seed {found[0].seed}", now=True)
     table = summary_table(rows.all, names, contest.marks)
     busy = {name: median(found) for name, found in costs.items()}
+    title = f"{skill}, {launcher or 'its launcher'}, {environment}, {contexts} contexts"
+    if out is not None and contest.marks[0] > 0:
+        draw_summaries(table, title, out / _FIGURE)
     if json:
         print_json([{**row, "ms": busy.get(row["way"])} for row in table])
     else:
-        title = f"{skill}, {launcher or 'its launcher'}, {environment}, {contexts} contexts"
         print_summary(
             table, contest.marks, title, {"ms a trial": lambda way: f"{busy[way]:.1f}" if way in busy else ""}
         )

@@ -37,6 +37,7 @@ _POSITIONS: Final = """SELECT id, name, (SELECT coalesce(max(seq), 0) FROM trial
 _CACHE: Final = "SELECT version, data, digest FROM cache WHERE task = ?"
 _BLOCK: Final = 4096  # trials read together
 _FEW: Final = 64  # events read together: each may be large
+_PAGE_BYTES: Final = 2**18  # of rows read together; larger rows are read one by one
 _SHARE: Final = 512  # rows of a page read together: each may be large
 _ROW_BYTES: Final = 240  # of a page entry, its vectors and info aside
 
@@ -246,11 +247,14 @@ class LogReader:
 
     def _pages(self, statement: str, key: int, after: int, upto: int, share: int) -> Iterator[tuple[Any, ...]]:
         """Rows in order of seq, few at a time: a long read would keep the database from clearing up."""
-        while rows := self._database.rows(statement, key, after, upto, share):
+        wanted = 1
+        while rows := self._database.rows(statement, key, after, upto, wanted):
             yield from rows
-            if len(rows) < share:
+            if len(rows) < wanted:
                 return
             after = int(rows[-1][0])
+            small = sum(_bytes(value) for row in rows for value in row) <= _PAGE_BYTES
+            wanted = min(share, 4 * wanted) if small else 1
 
 
 def _bytes(value: object) -> int:

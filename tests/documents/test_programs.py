@@ -76,7 +76,9 @@ def test_the_notebook_runs_from_top_to_bottom() -> None:
     read: Any = nbformat.read
     notebook = read(REPOSITORY / "examples" / "learning.ipynb", as_version=4)
     assert all(not cell.get("outputs") for cell in notebook.cells), "it is kept without outputs"
-    nbclient.NotebookClient(notebook, timeout=60, kernel_name="python3").execute()
+    # Another test may have chosen a figure's backend, which the kernel's own would not replace.
+    environment = {name: value for name, value in os.environ.items() if name != "MPLBACKEND"}
+    nbclient.NotebookClient(notebook, timeout=60, kernel_name="python3").execute(env=environment)
     outputs = [output for cell in notebook.cells for output in cell.get("outputs", [])]
     said = "".join(output.get("text", "") for output in outputs if output.get("name") == "stdout")
     first, last, hit = (int(share) for share in re.findall(r"(\d+)%", said))

@@ -225,5 +225,5 @@ def test_an_unknown_skill_is_one_line(start_demo: Callable[..., Demo]) -> None:
     status, _, log = start_demo("--skill", "tabel-tennis").finish()
     assert status == 1
     assert log.splitlines() == [
-        "error: no skill 'tabel-tennis'; installed: table-tennis; name your own as package.module:factory"
+        "error: no skill 'tabel-tennis'; installed: table-tennis, throw; name your own as package.module:factory"
     ]

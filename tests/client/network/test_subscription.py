@@ -19,7 +19,7 @@ PATIENCE_S = 10.0
 
 def publish(session: zenoh.Session, topic: str, message: object, encoding: str = "application/msgpack") -> None:
     payload = message if isinstance(message, bytes) else msgpack.packb(message)
-    session.put(PUB + topic, payload, encoding=encoding)
+    session.put(PUB + topic, payload, encoding=encoding, congestion_control=zenoh.CongestionControl.BLOCK)
 
 
 def read_until(subscription: Subscription, last: int) -> list[tuple[str, dict[str, Any]]]:

@@ -20,7 +20,7 @@ REPOSITORY = Path(__file__).parents[3]
 WALL_CLOCK = re.compile(r"time\.time\(|datetime\.(now|utcnow|today)\(|time_ns\(|localtime|gmtime")
 # Where the time of day is told to people, and compared with nothing.
 TELLING = {
-    "server/crkr/server/log/sqlite_log.py",
+    "server/crkr/server/log/new_rows.py",
     "server/crkr/server/workers.py",
     "server/crkr/server/verbs/read.py",
     "client/crkr/client/commands/status.py",

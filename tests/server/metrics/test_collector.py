@@ -148,9 +148,10 @@ def test_the_endpoint_ends_with_the_server_and_only_loopback_is_listened_on(
 
 
 def test_a_file_that_vanishes_while_they_are_counted_costs_no_scrape(
-    start_server: Callable[..., Any], metrics_port: int
+    start_server: Callable[..., Any], metrics_port: int, processes: Any
 ) -> None:
     server = start_server("--metrics", str(metrics_port))
+    processes.wait_until(lambda: "listening on" in server.log.read_text(), server.log)
     (server.data / "backup.sqlite3.partial").symlink_to(server.data / "gone")
     assert value(scraped(metrics_port), "crkr_log_bytes") > 0
     server.data.rename(server.data.with_name("away"))

@@ -187,7 +187,7 @@ def test_a_run_on_two_nodes_meets_its_total_and_ctrl_c_ends_the_next(cluster: Cl
     assert second.wait(timeout=PATIENCE_S) == 130, log.read_text()
     report = result_of(log)
     assert report["stopped_by"] == "SIGINT"
-    assert report["trained"] == cluster.training()
+    assert 160 < report["trained"] <= cluster.training()  # a place may end after its last report
 
 
 def test_without_a_cluster_a_command_says_how_to_get_one(tmp_path: Path) -> None:

@@ -139,7 +139,7 @@ def test_a_skill_that_tells_no_plan_is_drawn_for_a_task_only(
     status, _, log = start_command(*words).finish()
     told = " ".join(log.split())
     assert (status, "tells no plan of its own (a method `plan`); name a task" in told) == (1, True), log
-    of_task = ("--task", _reaching(client, "drawn"), "--connect", shared_endpoint)
+    of_task = ("--task", _reaching(client, "drawn-points"), "--connect", shared_endpoint)
     assert start_command(*words, *of_task).finish()[0] == 0
     assert imread(tmp_path / "a.png").shape[:2] == (720, 1280)
     status, _, log = start_command(*words, *of_task, "--overwrite", "--trial", str(uuid4())).finish()

@@ -3,33 +3,15 @@
 import sqlite3
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 from uuid import UUID
 
-import numpy as np
 import pytest
+from logged_trials import SPEC, trial, trials_of
 
-from crkr.protocol import StorageError, TaskSpec, Trial
+from crkr.protocol import StorageError
 from crkr.server.learning.restore import restore, restore_all
 from crkr.server.log import LoggedTrial, PendingReport, SqliteLog, Stored, read_log
 from crkr.server.log.sqlite_database import SqliteDatabase
-
-AXIS = {"name": "x", "unit": "m", "low": -1.0, "high": 1.0}
-SPEC = TaskSpec.from_dict({"name": "reach", "state": [AXIS], "goal": [AXIS, {**AXIS, "name": "y"}]})
-
-
-def trial(number: int, cost: float | None = 0.5, kind: str = "trial", **changes: Any) -> Trial:
-    rng = np.random.default_rng(number)
-    return Trial.create(
-        SPEC,
-        id=UUID(int=number),
-        state=rng.uniform(-1, 1, 1),
-        goal=rng.uniform(-1, 1, 2),
-        cost=cost,
-        success=kind != "failed",
-        kind=kind,
-        **changes,
-    )
 
 
 @pytest.fixture
@@ -38,10 +20,6 @@ def log(tmp_path: Path) -> Iterator[SqliteLog]:
     log.create(SPEC)
     yield log
     log.close()
-
-
-def trials_of(log: SqliteLog) -> list[LoggedTrial]:
-    return [entry for entry in log.reads.read("reach") if isinstance(entry, LoggedTrial)]
 
 
 def test_one_process_holds_a_directory(log: SqliteLog, tmp_path: Path) -> None:

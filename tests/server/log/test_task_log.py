@@ -8,32 +8,15 @@ from pathlib import Path
 from typing import Any
 from uuid import UUID
 
-import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from logged_trials import SPEC, trial, trials_of
 
-from crkr.protocol import KINDS, Conflict, TaskSpec, Trial, pack
+from crkr.protocol import KINDS, Conflict, pack
 from crkr.server.learning.restore import restore
 from crkr.server.log import Event, LoggedTrial, PendingReport, SqliteLog, Stored, TaskLog, read_log
 from crkr.server.log.access import copy_tasks, open_unserved
-
-AXIS = {"name": "x", "unit": "m", "low": -1.0, "high": 1.0}
-SPEC = TaskSpec.from_dict({"name": "reach", "state": [AXIS], "goal": [AXIS, {**AXIS, "name": "y"}]})
-
-
-def trial(number: int, cost: float | None = 0.5, kind: str = "trial", **changes: Any) -> Trial:
-    rng = np.random.default_rng(number)
-    return Trial.create(
-        SPEC,
-        id=UUID(int=number),
-        state=rng.uniform(-1, 1, 1),
-        goal=rng.uniform(-1, 1, 2),
-        cost=cost,
-        success=kind != "failed",
-        kind=kind,
-        **changes,
-    )
 
 
 @pytest.fixture
@@ -54,10 +37,6 @@ def log(reopen: Callable[[], TaskLog]) -> TaskLog:
     log = reopen()
     log.create(SPEC)
     return log
-
-
-def trials_of(log: TaskLog, task: str = "reach") -> list[LoggedTrial]:
-    return [entry for entry in log.reads.read(task) if isinstance(entry, LoggedTrial)]
 
 
 def test_a_trial_comes_back_bit_for_bit(log: TaskLog) -> None:

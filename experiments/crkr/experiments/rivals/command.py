@@ -62,7 +62,15 @@ def rivals(
         raise Invalid(f"no rival {unknown[0]!r}; there are: {', '.join(RIVALS)}")
     names = [name for name in RIVALS if not only or name in only]
     contest = Contest(tuple(sorted(set(trials or (100, 500)))), contexts, judge, demonstrations)
-    rows, costs = Rows(out, _FILE), dict[str, list[float]]()
+    settings = {
+        "skill": skill,
+        "launcher": launcher,
+        "environment": environment,
+        "contexts": contexts,
+        "judge": judge,
+        "demonstrations": demonstrations,
+    }
+    rows, costs = Rows(out, _FILE, settings), dict[str, list[float]]()
     wanted = rows.missing(names, range(first_seed, first_seed + seeds), contest.marks[-1])
     parts = [(contest, name, seed) for name, seed in wanted]
     with Progress(stderr, "learning", len(parts), "runs") as progress:

@@ -8,8 +8,8 @@ from time import thread_time
 from typing import Final, final
 
 from crkr.experiments.learning.run import demonstrated, judge
-from crkr.experiments.rivals.forward_models import BayesianQuadratic, RidgeQuadratic
-from crkr.experiments.rivals.policy_search import ContextualCmaEs, ContextualReps, SuccessRegression
+from crkr.experiments.rivals.forward_models import bayesian_quadratic, ridge_quadratic
+from crkr.experiments.rivals.policy_search import SuccessRegression, contextual_cma_es, contextual_reps
 from crkr.experiments.rivals.rival import Crkr, Rival
 from crkr.experiments.study.rows import Row, judged_row
 from crkr.protocol import TaskSpec
@@ -20,11 +20,11 @@ __all__ = ["RIVALS", "Contest", "compete"]
 
 RIVALS: Final[dict[str, Callable[[TaskSpec, int], Rival]]] = {
     "crkr": Crkr,
-    "bayesian-quadratic": BayesianQuadratic,
-    "ridge-quadratic": RidgeQuadratic,
+    "bayesian-quadratic": bayesian_quadratic,
+    "ridge-quadratic": ridge_quadratic,
     "success-gp": SuccessRegression,
-    "contextual-cma-es": ContextualCmaEs,
-    "contextual-reps": ContextualReps,
+    "contextual-cma-es": contextual_cma_es,
+    "contextual-reps": contextual_reps,
 }
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Final, Protocol, final
 
 import numpy as np
@@ -14,7 +15,7 @@ from crkr.experiments.rivals.rival import TaskScales
 from crkr.protocol import Invalid, TaskSpec
 from crkr.sim_worker.skill import Demonstration, Floats, TrialResult
 
-__all__ = ["BayesianQuadratic", "ForwardModel", "RidgeQuadratic"]
+__all__ = ["ForwardModel", "bayesian_quadratic", "ridge_quadratic"]
 
 STEPS: Final = 12  # of Gauss-Newton; more change no goal by a thousandth of its scale
 DAMPING: Final = 1e-6
@@ -34,33 +35,33 @@ class QuadraticSurface(Protocol):
         ...
 
 
+@final
 class ForwardModel:
     """A quadratic model of the outcome, inverted by Gauss-Newton around what successes had in common.
 
     Args:
         spec: The task; it must have outcomes.
         seed: Of the noise that explores.
+        surface: Makes the model's surface for so many outcome entries and inputs.
         noise: Its standard deviation in scales of the goal.
         trust: How many scales of a goal are as bad as one tolerance of the outcome.
     """
 
-    def __init__(self, spec: TaskSpec, seed: int, *, noise: float, trust: float) -> None:
+    def __init__(
+        self, spec: TaskSpec, seed: int, surface: Callable[[int, int], QuadraticSurface], *, noise: float, trust: float
+    ) -> None:
         if not spec.outcome:
             raise Invalid("a forward model needs a task with outcomes")
         self._spec = spec
         self._rng = np.random.default_rng(seed)
-        self._noise, self._trust = noise, trust
+        self._make_surface, self._noise, self._trust = surface, noise, trust
         self._successes: list[tuple[Floats, Floats]] = []
-
-    def surface(self, entries: int, size: int) -> QuadraticSurface:
-        """The model's surface for so many outcome entries and inputs."""
-        raise NotImplementedError
 
     def start(self, demonstrations: Sequence[Demonstration]) -> None:
         """Scales everything by them, and takes them as successes."""
         self._scales = TaskScales(self._spec, demonstrations)
         shape = len(self._spec.outcome), len(self._spec.state) + len(self._spec.goal)
-        self._surface = self.surface(*shape)
+        self._surface = self._make_surface(*shape)
         for shown in demonstrations:
             self.tell(shown.state, shown.goal, shown.result)
 
@@ -149,16 +150,10 @@ class _BayesianSurface:
         return _split(weights, self._size)
 
 
-@final
-class BayesianQuadratic(ForwardModel):
-    """A global Bayesian quadratic fit of the outcome."""
-
-    def __init__(self, spec: TaskSpec, seed: int) -> None:
-        super().__init__(spec, seed, noise=0.0, trust=4.0)
-
-    def surface(self, entries: int, size: int) -> QuadraticSurface:
-        """Slopes of 5 and curvatures of 0.7 tolerances a unit are expected."""
-        return _BayesianSurface(entries, size, noise=0.3, linear_sd=5.0, quadratic_sd=0.7)
+def bayesian_quadratic(spec: TaskSpec, seed: int) -> ForwardModel:
+    """A global Bayesian quadratic fit of the outcome: slopes of 5, curvatures of 0.7 tolerances a unit are expected."""
+    surface = partial(_BayesianSurface, noise=0.3, linear_sd=5.0, quadratic_sd=0.7)
+    return ForwardModel(spec, seed, surface, noise=0.0, trust=4.0)
 
 
 @final
@@ -189,13 +184,6 @@ class _RidgeSurface:
         return _split(self._fitted[1], self._size)
 
 
-@final
-class RidgeQuadratic(ForwardModel):
+def ridge_quadratic(spec: TaskSpec, seed: int) -> ForwardModel:
     """What a practitioner writes first with scikit-learn: polynomial ridge regression, explored by noise on goals."""
-
-    def __init__(self, spec: TaskSpec, seed: int) -> None:
-        super().__init__(spec, seed, noise=0.1, trust=4.0)
-
-    def surface(self, entries: int, size: int) -> QuadraticSurface:
-        """A ridge of one."""
-        return _RidgeSurface(entries, size, alpha=1.0)
+    return ForwardModel(spec, seed, partial(_RidgeSurface, alpha=1.0), noise=0.1, trust=4.0)

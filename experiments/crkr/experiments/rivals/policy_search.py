@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Final, final
 
 import numpy as np
 from scipy.optimize import minimize_scalar
 from scipy.special import logsumexp
-from sklearn.exceptions import ConvergenceWarning
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 
@@ -17,8 +15,10 @@ from crkr.experiments.rivals.rival import TaskScales
 from crkr.protocol import TaskSpec
 from crkr.sim_worker.skill import Demonstration, Floats, TrialResult
 
-__all__ = ["ContextualCmaEs", "ContextualReps", "SuccessRegression"]
+__all__ = ["LinearGaussianSearch", "SuccessRegression", "contextual_cma_es", "contextual_reps"]
 
+BATCH: Final = 40  # trials; fewer say too little of 13 times 7 gains
+EPSILON: Final = 0.5  # bound of the relative entropy of a step
 NEWEST: Final = 400  # successes of a regression; exact ones cost the cube of their number
 
 
@@ -63,107 +63,111 @@ class SuccessRegression:
             kernel = ConstantKernel(1.0) * RBF(np.ones(len(self._spec.state))) + WhiteKernel(0.1)
             self._model = GaussianProcessRegressor(kernel, optimizer=None)
             self._model.fit(np.array(self._states[-NEWEST:]), np.array(self._goals[-NEWEST:]))
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", ConvergenceWarning)
-            mean, deviation = self._model.predict(self._scales.states(states), return_std=True)
+        mean, deviation = self._model.predict(self._scales.states(states), return_std=True)
         return np.asarray(mean), np.asarray(deviation)
 
 
-class _LinearGaussian:
-    """A policy that is linear in (1, state) with Gaussian noise, improved after every `batch` trials."""
+@final
+class LinearGaussianSearch:
+    """Policy search: a policy that is linear in (1, state) with Gaussian noise, improved after every batch of trials.
 
-    def __init__(self, spec: TaskSpec, seed: int, batch: int) -> None:
-        self._spec, self._rng, self._batch = spec, np.random.default_rng(seed), batch
+    Args:
+        spec: The task.
+        seed: Of the draws that explore.
+        improve: Changes the policy by features (n, d + 1), scaled goals (n, p) and costs (n,) of a batch.
+        deviation: Of the first noise, in scales of the goal.
+
+    Attributes:
+        gain: (d + 1, p) features to scaled goals.
+        covariance: (p, p) of the noise.
+    """
+
+    def __init__(self, spec: TaskSpec, seed: int, improve: Improvement, deviation: float) -> None:
+        self._spec, self._rng, self._improve, self._deviation = spec, np.random.default_rng(seed), improve, deviation
         self._trials: list[tuple[Floats, Floats, float]] = []
 
     def start(self, demonstrations: Sequence[Demonstration]) -> None:
-        """A ridge regression of the demonstrations, and noise of a third of a scale."""
+        """A ridge regression of the demonstrations, and noise."""
         self._scales = TaskScales(self._spec, demonstrations)
         features = np.array([self._features(shown.state) for shown in demonstrations])
         goals = np.array([self._scales.goals(shown.goal) for shown in demonstrations])
         ridge = np.eye(features.shape[1])
         ridge[0, 0] = 1e-9
-        self._gain = np.linalg.solve(features.T @ features + ridge, features.T @ goals)
-        self._covariance = np.eye(goals.shape[1]) / 9
+        self.gain: Floats = np.linalg.solve(features.T @ features + ridge, features.T @ goals)
+        self.covariance: Floats = np.eye(goals.shape[1]) * self._deviation**2
 
     def ask(self, state: Floats) -> Floats:
         """A draw of the policy."""
-        noise = np.linalg.cholesky(self._covariance) @ self._rng.standard_normal(len(self._covariance))
-        return self._scales.real_goals(self._features(state) @ self._gain + noise)
+        noise = np.linalg.cholesky(self.covariance) @ self._rng.standard_normal(len(self.covariance))
+        return self._scales.real_goals(self._features(state) @ self.gain + noise)
 
     def tell(self, state: Floats, goal: Floats, result: TrialResult) -> None:
         """Improves the policy when a batch is full."""
         self._trials.append((self._features(state), self._scales.goals(goal), _cost(result)))
-        if len(self._trials) == self._batch:
+        if len(self._trials) == BATCH:
             features, goals, costs = (np.array(part) for part in zip(*self._trials, strict=True))
             self._trials.clear()
-            self._improve(features, goals, costs)
+            self._improve(self, features, goals, costs)
 
     def policy(self, states: Floats) -> Floats:
         """The policy's mean."""
-        return self._scales.real_goals(self._features(states) @ self._gain)
+        return self._scales.real_goals(self._features(states) @ self.gain)
+
+    def fit(self, features: Floats, goals: Floats, weights: Floats, old: float) -> None:
+        """Moves the gain by weighted regression, with the old gain as a prior of weight `old`."""
+        prior = old * np.eye(features.shape[1])
+        normal = features.T @ (weights[:, None] * features) + prior
+        moved = np.linalg.solve(normal, features.T @ (weights[:, None] * goals) + prior @ self.gain)
+        self.gain = np.asarray(moved, np.float64)
 
     def _features(self, states: Floats) -> Floats:
         scaled = self._scales.states(states)
         return np.concatenate([np.ones((*scaled.shape[:-1], 1)), scaled], axis=-1)
 
-    def _improve(self, features: Floats, goals: Floats, costs: Floats) -> None:
-        raise NotImplementedError
 
-    def _fit(self, features: Floats, goals: Floats, weights: Floats, old: float) -> Floats:
-        """Moves the gain by weighted regression, with the old gain as a prior; gives the deviations."""
-        prior = old * np.eye(features.shape[1])
-        normal = features.T @ (weights[:, None] * features) + prior
-        self._gain = np.linalg.solve(normal, features.T @ (weights[:, None] * goals) + prior @ self._gain)
-        return np.asarray(goals - features @ self._gain)
+Improvement = Callable[[LinearGaussianSearch, Floats, Floats, Floats], None]
 
 
-@final
-class ContextualReps(_LinearGaussian):
+def _reps_step(search: LinearGaussianSearch, features: Floats, goals: Floats, costs: Floats) -> None:
+    baseline = features @ np.linalg.lstsq(features, -costs, rcond=None)[0]
+    advantages = -costs - baseline
+
+    def dual(log_eta: float) -> float:
+        eta = np.exp(log_eta)
+        return float(eta * EPSILON + eta * (logsumexp(advantages / eta) - np.log(len(costs))))
+
+    eta = np.exp(minimize_scalar(dual, bounds=(-7.0, 5.0), method="bounded").x)
+    weights = np.exp((advantages - advantages.max()) / eta)
+    weights /= weights.sum()
+    search.fit(features, goals, weights, old=1e-2)
+    off = goals - features @ search.gain
+    size = len(search.covariance)
+    effective = 1 / (weights**2).sum()
+    share = effective / (effective + size)  # few effective trials say little of a covariance
+    widened = share * (off.T * weights) @ off + (1 - share) * search.covariance + 1e-6 * np.eye(size)
+    search.covariance = np.asarray(widened, np.float64)
+
+
+def contextual_reps(spec: TaskSpec, seed: int) -> LinearGaussianSearch:
     """Contextual relative entropy policy search, with a baseline linear in the state  [Kupcsik2013]."""
-
-    EPSILON: Final = 0.5  # bound of the relative entropy of a step
-
-    def __init__(self, spec: TaskSpec, seed: int) -> None:
-        super().__init__(spec, seed, batch=40)
-
-    def _improve(self, features: Floats, goals: Floats, costs: Floats) -> None:
-        baseline = features @ np.linalg.lstsq(features, -costs, rcond=None)[0]
-        advantages = -costs - baseline
-
-        def dual(log_eta: float) -> float:
-            eta = np.exp(log_eta)
-            return float(eta * self.EPSILON + eta * (logsumexp(advantages / eta) - np.log(len(costs))))
-
-        eta = np.exp(minimize_scalar(dual, bounds=(-7.0, 5.0), method="bounded").x)
-        weights = np.exp((advantages - advantages.max()) / eta)
-        weights /= weights.sum()
-        off = self._fit(features, goals, weights, old=1e-2)
-        size = len(self._covariance)
-        effective = 1 / (weights**2).sum()
-        share = effective / (effective + size)  # few effective trials say little of a covariance
-        self._covariance = share * (off.T * weights) @ off + (1 - share) * self._covariance + 1e-6 * np.eye(size)
+    return LinearGaussianSearch(spec, seed, _reps_step, deviation=1 / 3)
 
 
-@final
-class ContextualCmaEs(_LinearGaussian):
-    """Contextual CMA-ES: rank-mu update of a linear policy's gain and covariance  [Abdolmaleki2017]."""
+def _cma_step(search: LinearGaussianSearch, features: Floats, goals: Floats, costs: Floats) -> None:
+    best = np.argsort(costs)[: len(costs) // 2]
+    weights = np.zeros(len(costs))
+    weights[best] = np.log(len(best) + 0.5) - np.log(np.arange(1, len(best) + 1))
+    weights /= weights.sum()
+    off = goals - features @ search.gain  # from the old policy
+    search.fit(features, goals, weights, old=0.3)
+    size, effective = len(search.covariance), 1 / (weights**2).sum()
+    rate = min(1.0, 2 * effective / ((size + 2) ** 2 + effective))
+    search.covariance = np.asarray((1 - rate) * search.covariance + rate * (off.T * weights) @ off, np.float64)
 
-    def __init__(self, spec: TaskSpec, seed: int) -> None:
-        super().__init__(spec, seed, batch=40)  # fewer say too little of 13 times 7 gains
 
-    def start(self, demonstrations: Sequence[Demonstration]) -> None:
-        """As the others, with less noise: it widens by itself."""
-        super().start(demonstrations)
-        self._covariance = self._covariance * 0.09
+def contextual_cma_es(spec: TaskSpec, seed: int) -> LinearGaussianSearch:
+    """Contextual CMA-ES: rank-mu update of a linear policy's gain and covariance  [Abdolmaleki2017].
 
-    def _improve(self, features: Floats, goals: Floats, costs: Floats) -> None:
-        best = np.argsort(costs)[: len(costs) // 2]
-        weights = np.zeros(len(costs))
-        weights[best] = np.log(len(best) + 0.5) - np.log(np.arange(1, len(best) + 1))
-        weights /= weights.sum()
-        off = goals - features @ self._gain  # from the old policy, as in CMA-ES
-        self._fit(features, goals, weights, old=0.3)
-        size, effective = len(self._covariance), 1 / (weights**2).sum()
-        rate = min(1.0, 2 * effective / ((size + 2) ** 2 + effective))
-        self._covariance = (1 - rate) * self._covariance + rate * (off.T * weights) @ off
+    The trials of a batch are ranked by their costs alone, whatever their states.
+    """
+    return LinearGaussianSearch(spec, seed, _cma_step, deviation=0.1)

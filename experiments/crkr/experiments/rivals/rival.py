@@ -94,7 +94,7 @@ class Crkr:
         self._trials = 0
 
     def start(self, demonstrations: Sequence[Demonstration]) -> None:
-        """Reports them as such."""
+        """Reports them with kind demonstration."""
         for shown in demonstrations:
             result = shown.result
             self._learner.report(

@@ -74,7 +74,16 @@ def study(
     names = [name for name in RIVAL_SELECTORS if not only or name in only]
     ways = {way.name: way for way in (_Way(*one) for one in product(names, budgets or [250], tradeoffs or [1.0]))}
     marks = tuple(mark for mark in (0, 50, 100, 200, 500, 1000) if mark < trials)
-    rows = Rows(out, _FILE)
+    settings = {
+        "skill": skill,
+        "launcher": launcher,
+        "environment": environment,
+        "preset": preset,
+        "contexts": contexts,
+        "judge": judge,
+        "demonstrations": demonstrations,
+    }
+    rows = Rows(out, _FILE, settings)
 
     def part(way: _Way, seed: int) -> tuple[str, str, Course, int]:
         settings = (("budget", way.budget), ("regularisation", way.tradeoff))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -48,12 +49,22 @@ def judged_row(way: str, seed: int, score: Score) -> Row:
 
 @final
 class Rows:
-    """The rows of a comparison; with a folder they are kept in its file, and runs in it are not made again."""
+    """The rows of a comparison; with a folder they are kept in its file, and runs in it are not made again.
 
-    def __init__(self, folder: Path | None, name: str) -> None:
+    Args:
+        folder: Where to keep them; None keeps nothing.
+        name: Of the file, e.g. rivals.csv; the settings stand beside it as rivals.json.
+        settings: What all rows have in common, as plain data.
+
+    Raises:
+        Invalid: The folder holds rows of other settings, or a file of another experiment.
+    """
+
+    def __init__(self, folder: Path | None, name: str, settings: Mapping[str, Any]) -> None:
         self._path = None if folder is None else folder / name
-        if folder is not None:
-            folder.mkdir(parents=True, exist_ok=True)
+        if self._path is not None:
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+            _check_settings(self._path.with_suffix(".json"), settings)
         self.all: list[Row] = [] if self._path is None else _read(self._path)
 
     def missing(self, ways: Iterable[str], seeds: Iterable[int], last: int) -> Iterator[tuple[str, int]]:
@@ -63,7 +74,9 @@ class Rows:
         return ((way, seed) for seed in seeds for way in names if (way, seed) not in there)
 
     def add(self, rows: Sequence[Row]) -> None:
-        """Keeps the rows of one run."""
+        """Keeps the rows of one run; marks that an earlier run of it was judged at are kept as they were."""
+        there = {(row.way, row.seed, row.trials) for row in self.all}
+        rows = [row for row in rows if (row.way, row.seed, row.trials) not in there]
         self.all += rows
         if self._path is None:
             return
@@ -73,6 +86,18 @@ class Rows:
             if new:
                 writer.writeheader()
             writer.writerows(asdict(row) for row in rows)
+
+
+def _check_settings(path: Path, settings: Mapping[str, Any]) -> None:
+    """Writes the settings, or compares them with those that are there."""
+    if not path.exists():
+        path.write_text(json.dumps(settings, indent=1) + "\n", encoding="utf-8")
+        return
+    kept = json.loads(path.read_text(encoding="utf-8"))
+    differ = [name for name in settings if kept.get(name) != settings[name]]
+    if differ:
+        was = ", ".join(f"{name} {kept.get(name)}" for name in differ)
+        raise Invalid(f"{path.parent} holds runs with {was}; choose another folder for --out")
 
 
 def _read(path: Path) -> list[Row]:

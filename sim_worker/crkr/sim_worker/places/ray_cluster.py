@@ -31,6 +31,7 @@ __all__ = ["RayCluster", "part_plans"]
 
 POLL_S: Final = 0.5
 STOP_WITHIN_S: Final = 10.0  # a node that cannot be reached never answers; Ray itself notices after a minute
+RETRIES: Final = 3  # of a part, which runs the skill in the task itself: a skill may end its process each time
 STATUS_TIMEOUT_S: Final = 1.0
 CONNECT_WITHIN_S: Final = 5.0
 
@@ -81,8 +82,8 @@ class RayCluster:
                     progress.update(len(waiting))
             finally:
                 reports += _cancel(waiting, task, say)
+            progress.update(0)
         report = RunReport.merged(task, plan.workers, reports)
-        progress.update(0)
         report.trained = max(report.trained, progress.trained)
         report.stopped_by = stop.signal
         return report
@@ -93,7 +94,8 @@ class RayCluster:
         """Does `work` on every part, as many at a time as the cluster has processors; see `Places.spread`."""
         del jobs  # Unused.
         with _connected(skill) as name:
-            call = ray.remote(max_retries=-1, num_cpus=1, scheduling_strategy="SPREAD")(_node_function("work_part"))
+            work_part = _node_function("work_part")
+            call = ray.remote(max_retries=RETRIES, num_cpus=1, scheduling_strategy="SPREAD")(work_part)
             waiting = [call.remote(cloudpickle.dumps((name, options, work, part))) for part in parts]
             try:
                 while waiting:

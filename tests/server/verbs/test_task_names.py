@@ -32,7 +32,7 @@ def run(command: Callable[..., None], *words: str, status: int = 0) -> str:
     return result.output
 
 
-def test_a_renamed_task_goes_on_under_its_new_name(shared_endpoint: str) -> None:
+def test_a_renamed_task_goes_on_under_its_new_name(shared_endpoint: str, processes: Any) -> None:
     with Client(shared_endpoint) as client:
         teach(client.create_task(specification("renamed-before", budget=7)))
         client.create_task(specification("renamed-next"))
@@ -56,6 +56,7 @@ def test_a_renamed_task_goes_on_under_its_new_name(shared_endpoint: str) -> None
         with pytest.raises(Invalid, match="task name"):
             task.rename("No Name")
         with task.announce("worker-1"):
+            processes.wait_until(lambda: any(entry["id"] == "worker-1" for entry in task.status()["workers"]))
             with pytest.raises(Conflict, match="'worker-1'"):
                 task.rename("renamed-again")
             with pytest.raises(Conflict, match="'worker-1'"):
@@ -96,6 +97,7 @@ def test_a_deleted_task_frees_its_name_and_stays_until_it_is_purged(start_server
     assert "3 tasks" in output
     [kept] = run(purge, str(server.data)).splitlines()
     run(purge, str(server.data), "--restore", kept, status=1)  # the name is taken
+    run(purge, str(server.data), "--restore", kept, "--yes", status=2)
     assert run(purge, str(server.data), "--yes") == f"{kept} is removed\n"
     assert "no deleted tasks" in run(purge, str(server.data))
     assert "2 tasks" in run(replay, str(server.data))

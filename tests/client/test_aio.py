@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from jumping import practise, run, specification
+from small_tasks import practise, run, specification
 
 from crkr.client import AsyncClient, Client, Task
 from crkr.protocol import Conflict, CrkrError, Invalid, NoSamples, Unavailable, UnknownTask

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from jumping import practise, run, specification
+from small_tasks import practise, run, specification
 
 from crkr.client import AsyncClient
 from crkr.client.call_threads import TIMED_OUT, AwaitedCalls

@@ -11,7 +11,7 @@ from uuid import UUID, uuid4
 
 import numpy as np
 import pytest
-from lobbing import put, specification, stored
+from small_tasks import put, stored, task_spec
 
 from crkr.client import Client, Outbox, Task
 from crkr.protocol import Conflict, Invalid, StorageError, Unavailable
@@ -24,7 +24,7 @@ Start = Callable[..., Any]
 @pytest.fixture
 def task(shared_endpoint: str) -> Iterator[Task]:
     with Client(shared_endpoint) as client:
-        yield client.create_task(specification(f"lob-{uuid4()}"))
+        yield client.create_task(task_spec(f"lob-{uuid4()}"))
 
 
 def test_what_is_reported_arrives_in_order_and_once(task: Task, tmp_path: Path) -> None:
@@ -70,7 +70,7 @@ def test_without_a_server_reports_are_kept_and_the_next_outbox_delivers_them(
 ) -> None:
     server = start_server(port=free_port)
     with Client(server.endpoint, timeout_s=PATIENCE_S) as client:
-        client.create_task(specification("lob"))
+        client.create_task(task_spec("lob"))
         client.task("lob").outbox(tmp_path / "box").close()
     server.process.terminate()
     server.process.wait()
@@ -147,7 +147,7 @@ def test_a_file_has_one_outbox_at_a_time_and_one_task(task: Task, shared_endpoin
         )
         assert "in use already" in other.stderr
     with Client(shared_endpoint) as client:
-        second = client.create_task(specification(f"lob-{uuid4()}"))
+        second = client.create_task(task_spec(f"lob-{uuid4()}"))
         with pytest.raises(Conflict, match=task.name):
             second.outbox(tmp_path / "box")
 

@@ -15,8 +15,8 @@ from uuid import UUID, uuid4
 import msgpack
 import numpy as np
 import pytest
-from lobbing import put, specification, stored
 from named_threads import raise_in
+from small_tasks import put, stored, task_spec
 
 from crkr.client import Client, Task
 from crkr.client.outbox.outbox_file import OutboxFile
@@ -29,7 +29,7 @@ Start = Callable[..., Any]
 @pytest.fixture
 def task(shared_endpoint: str) -> Iterator[Task]:
     with Client(shared_endpoint) as client:
-        yield client.create_task(specification(f"lob-{uuid4()}"))
+        yield client.create_task(task_spec(f"lob-{uuid4()}"))
 
 
 def test_a_server_killed_again_and_again_while_it_delivers_stores_each_trial_once(
@@ -37,7 +37,7 @@ def test_a_server_killed_again_and_again_while_it_delivers_stores_each_trial_onc
 ) -> None:
     server = start_server(port=free_port)
     with Client(server.endpoint, timeout_s=PATIENCE_S) as client:
-        task = client.create_task(specification("lob"))
+        task = client.create_task(task_spec("lob"))
         with task.outbox(tmp_path / "box") as outbox, ThreadPoolExecutor(1) as pool:
             reporting = pool.submit(put, outbox, 1500)
             for part in (200, 600, 1000):
@@ -66,7 +66,7 @@ with Client(sys.argv[1]) as client, client.task("lob").outbox(Path(sys.argv[2]))
 def test_a_robot_killed_again_and_again_loses_no_report(start_server: Start, tmp_path: Path) -> None:
     server = start_server()
     with Client(server.endpoint, timeout_s=PATIENCE_S) as client:
-        task = client.create_task(specification("lob"))
+        task = client.create_task(task_spec("lob"))
         said: list[UUID] = []
         for _ in range(3):
             command = [sys.executable, "-c", ROBOT, server.endpoint, str(tmp_path / "box")]
@@ -89,7 +89,7 @@ def test_a_damaged_trial_is_put_aside_and_the_others_arrive(
 ) -> None:
     server = start_server(port=free_port)
     with Client(server.endpoint, timeout_s=PATIENCE_S) as client:
-        client.create_task(specification("lob")).outbox(tmp_path / "box").close()
+        client.create_task(task_spec("lob")).outbox(tmp_path / "box").close()
     server.process.terminate()
     server.process.wait()
     with Client(server.endpoint) as client, client.task("lob").outbox(tmp_path / "box") as outbox:
@@ -158,7 +158,7 @@ def test_another_task_of_the_same_name_is_given_nothing(
     """Where a server comes back with other data: what fits by its numbers is still not meant for it."""
     server = start_server(port=free_port, data=tmp_path / "ours")
     with Client(server.endpoint, timeout_s=PATIENCE_S) as client:
-        task = client.create_task(specification("lob"))
+        task = client.create_task(task_spec("lob"))
         with task.outbox(tmp_path / "box") as outbox:
             ids = put(outbox, 5)
             outbox.flush(PATIENCE_S)
@@ -168,7 +168,7 @@ def test_another_task_of_the_same_name_is_given_nothing(
             ids += put(outbox, 5)
             processes.wait_until(lambda: isinstance(outbox.fault, UnknownTask))
 
-            fields = specification("lob").to_dict()
+            fields = task_spec("lob").to_dict()
             fields["goal"][1]["high"] = 2.0
             other = client.create_task(fields)
             processes.wait_until(lambda: isinstance(outbox.fault, Conflict))
@@ -205,7 +205,7 @@ def test_a_link_that_carries_no_large_message_in_time_is_given_small_ones(
         if key.endswith("info"):
             return {"server_id": bytes(16)}
         if key.endswith("spec"):
-            return {"spec": specification("lob").to_dict()}
+            return {"spec": task_spec("lob").to_dict()}
         if len(payload) > 3000:
             return "silence"
         count = len(unpack(payload)["trials"])
@@ -223,7 +223,7 @@ def test_a_link_that_carries_no_large_message_in_time_is_given_small_ones(
 def test_an_interrupted_report_leaves_the_count_exact(start_server: Start, free_port: int, tmp_path: Path) -> None:
     server = start_server(port=free_port)
     with Client(server.endpoint) as client:
-        client.create_task(specification("lob")).outbox(tmp_path / "box").close()
+        client.create_task(task_spec("lob")).outbox(tmp_path / "box").close()
     server.process.terminate()
     server.process.wait()
     interrupted = 0
@@ -274,7 +274,7 @@ def test_a_full_disk_is_told_and_loses_nothing(start_server: Start, free_port: i
     """By a limit on the size of files, as for a disk without room; nobody serves meanwhile, so that they stay."""
     server = start_server(port=free_port)
     with Client(server.endpoint, timeout_s=PATIENCE_S) as client:
-        client.create_task(specification("lob")).outbox(tmp_path / "box").close()
+        client.create_task(task_spec("lob")).outbox(tmp_path / "box").close()
     server.process.terminate()
     server.process.wait()
     command = [sys.executable, "-c", FULL, server.endpoint, str(tmp_path / "box")]

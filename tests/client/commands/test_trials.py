@@ -3,6 +3,8 @@
 import json
 import re
 import shlex
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -82,7 +84,7 @@ def test_a_trial_is_amended_and_the_correction_taken_back(run: Run, task: str) -
 
 
 def test_a_person_tries_goals_and_says_which_hit(run: Run, task: str) -> None:
-    typed = "1.5|h||" + "|h 0.3|0.25|" + "oops|2.0|what|m 7|m||" + "1|s|" + "1|f|" + "1|u|h||" + "1|q|"
+    typed = "1.5|h||" + "|h 0.3|0.25|" + "oops|2.0|what|m 7|m 0,3|m 0.3 0.5|m||" + "1|s|" + "1|f|" + "1|u|h||" + "1|q|"
     shown = run("ask", task, typed=typed.replace("|", "\n"))
     trials = listed(run, task, "--last", "5")
     assert [(one["kind"], one["success"], one["cost"]) for one in trials[:4]] == [
@@ -94,6 +96,7 @@ def test_a_person_tries_goals_and_says_which_hit(run: Run, task: str) -> None:
     assert "4 trials" in shown.stdout
     assert str(trials[0]["id"]) in shown.stdout
     assert "cost must be" in shown.stderr
+    assert shown.stderr.count("the cost is one number, as in h 0.3") == 2
 
 
 def test_asking_ends_with_the_input_and_reports_nothing_of_the_open_trial(run: Run, task: str) -> None:
@@ -101,6 +104,32 @@ def test_asking_ends_with_the_input_and_reports_nothing_of_the_open_trial(run: R
     assert "1 hits in 1 trials" in shown.stdout
     assert listed(run, task, "--last", "1")[0]["seq"] == 14
     assert "takes 1 number" in run("ask", task, "--state", "1 2", typed="", status=1).stderr
+
+
+def test_what_another_person_reported_does_not_count_when_taken_back(shared_endpoint: str, task: str) -> None:
+    command = [sys.executable, "-m", "crkr.client", "ask", task, "--state", "1.0", "--connect", shared_endpoint]
+    pipe = subprocess.PIPE
+    with Client(shared_endpoint) as client, subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True) as asking:
+        assert asking.stdin is not None
+        assert asking.stdout is not None
+        asking.stdin.write("h\n\n")
+        asking.stdin.flush()
+        assert next(line for line in asking.stdout if "hit: number 14" in line)
+        client.task(task).report(state=[1.0], goal=[1.0], cost=0.5, success=True, wait=True)
+        shown, _ = asking.communicate("u\nq\n", timeout=20.0)
+    assert "taken back: the trial at number 15" in shown
+    assert "1 hits in 1 trials" in shown
+
+
+def test_a_state_that_the_task_refuses_is_an_error_where_it_is_that_of_all_trials(
+    run: Run, shared_endpoint: str
+) -> None:
+    name = f"throw-{uuid4()}"
+    with Client(shared_endpoint) as client:
+        made = client.create_task({"name": name, **SPEC, "novel": "refuse", "novelty_limit": 0.5})
+        made.report(state=[[0.1]] * 3, goal=[[1.0]] * 3, cost=0.1, success=True, wait=True)
+    assert "refuses" in run("ask", name, "--state", "50", typed="", status=1).stderr
+    assert "refuses" in run("ask", name, typed="50\nq\n").stderr
 
 
 def test_the_page_about_trials_runs_as_it_is_printed(

@@ -203,6 +203,19 @@ def test_a_taken_port_is_one_line(tmp_path: Path) -> None:
     assert not (tmp_path / "data").exists()
 
 
+def test_a_web_server_that_ends_by_itself_is_an_error() -> None:
+    with socket.socket(type=socket.SOCK_DGRAM) as unfit:
+        unfit.bind(("127.0.0.1", 0))
+        file = unfit.fileno()
+        command = [sys.executable, "-m", "crkr.client", "page", "--serve", "0", "--socket-fd", str(file)]
+        command += ["--connect", f"tcp/127.0.0.1:{unused_port()}"]
+        done = subprocess.run(
+            command, stdin=file, pass_fds=[file], stderr=subprocess.PIPE, text=True, timeout=PATIENCE_S, check=False
+        )
+    assert done.returncode == 1
+    assert done.stderr.endswith("error: the web server ended; see its log\n")
+
+
 def test_pages_served_elsewhere_outlast_a_restart_of_the_server(
     start_server: Start, spec: TaskSpec, tmp_path: Path, free_port: int, processes: Any
 ) -> None:

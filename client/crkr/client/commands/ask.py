@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from typing import Annotated, Any, Final, final
+from uuid import UUID
 
 import typer
 
@@ -50,7 +51,7 @@ def ask(
         stdout.print(f"{session.hits} hits in {session.tried} trials")
 
 
-class _Over(Exception):
+class _SessionEnded(Exception):
     """The person has ended the session."""
 
 
@@ -67,7 +68,7 @@ class _Session:
         self.hits = self.tried = 0
         self._task, self._spec, self._explore = task, task.spec, explore
         self._fixed = self._last = state
-        self._labels: list[str] = []
+        self._labels: dict[UUID, str] = {}  # by trial id
 
     def step(self) -> bool:
         """One trial; False at the end."""
@@ -75,11 +76,12 @@ class _Session:
             answer = self._task.predict(self._state(), explore=self._explore)
             _show(answer, self._spec)
             self._settle(answer)
-        except _Over:
+        except _SessionEnded:
             return False
         except NovelState as error:
+            if self._fixed is not None:
+                raise
             stderr.print(f"error: {error.message}")
-            return self._fixed is None
         return True
 
     def _state(self) -> Sequence[float]:
@@ -87,7 +89,7 @@ class _Session:
             again = "" if self._last is None else ", Enter for the same"
             words = _read(f"state ({_names(self._spec.state)}){again}: ")
             if words in ("q", "quit"):
-                raise _Over
+                raise _SessionEnded
             if not words and self._last is not None:
                 return self._last
             try:
@@ -105,7 +107,7 @@ class _Session:
         while True:
             letter, _, number = _read("hit or miss? ").partition(" ")
             if letter in ("q", "quit"):
-                raise _Over
+                raise _SessionEnded
             if letter in ("s", "skip"):
                 return
             if letter in ("u", "undo"):
@@ -122,7 +124,7 @@ class _Session:
     def _report(self, answer: Prediction, label: str, number: str) -> None:
         success, fields = label == "hit", dict[str, Any]()
         if number:
-            fields["cost"] = cost_number(parse_vector(number, "cost")[0], "cost")
+            fields["cost"] = _cost(number)
         elif label != "failed":
             fields["cost"] = LABEL_COSTS[success]
         if self._spec.outcome and label != "failed":
@@ -131,7 +133,7 @@ class _Session:
                 fields["outcome"] = parse_vector(words, "measured")
         kind = "failed" if label == "failed" else "trial"
         receipt = self._task.report(answer, success=success, kind=kind, wait=True, **fields)
-        self._labels.append(label)
+        self._labels[answer.trial_id] = label
         self.tried, self.hits = self.tried + 1, self.hits + success
         stdout.print(f"{label}: number {receipt.seqs[0]}, trial id {answer.trial_id}")
 
@@ -141,12 +143,21 @@ class _Session:
             return
         taken = self._task.undo()
         if taken["undone"] == "trial":
-            self.tried, self.hits = self.tried - 1, self.hits - (self._labels.pop() == "hit")
+            own = [self._labels.pop(one) for one in taken["ids"] if one in self._labels]
+            self.tried, self.hits = self.tried - len(own), self.hits - own.count("hit")
         stdout.print(f"taken back: {undone(taken)}")
 
 
 def _names(axes: Sequence[StateDimension | GoalDimension | OutcomeEntry]) -> str:
     return ", ".join(f"{axis.name} [{axis.unit}]" if axis.unit else axis.name for axis in axes)
+
+
+def _cost(text: str) -> float:
+    try:
+        number = float(text)
+    except ValueError as error:
+        raise Invalid("the cost is one number, as in h 0.3") from error
+    return cost_number(number, "cost")
 
 
 def _read(question: str) -> str:
@@ -155,7 +166,7 @@ def _read(question: str) -> str:
     line = sys.stdin.readline()
     if not line:
         stdout.print()  # ends the question's line
-        raise _Over
+        raise _SessionEnded
     return line.strip()
 
 

@@ -26,7 +26,7 @@ def trials(
     worst: Annotated[
         bool, typer.Option("--worst", help="As many of those of highest cost instead; reads all trials.")
     ] = False,
-    ids: Annotated[list[str] | None, typer.Option("--id", metavar="UUID", help="One trial; may come again.")] = None,
+    ids: Annotated[list[str] | None, typer.Option("--id", metavar="UUID", help="One trial; may be repeated.")] = None,
     connect: Connect = None,
     timeout: Timeout = 10.0,
     zenoh_config: ZenohConfig = None,

@@ -15,7 +15,7 @@ from crkr.client.trial_files.layout import FileRow
 from crkr.client.trial_files.trial_import import import_rows
 from crkr.protocol import Array, Invalid, StoredTrial, TaskSpec, Trial, task_id
 
-__all__ = ["Warmth", "warm_start"]
+__all__ = ["WarmStartReport", "warm_start"]
 
 _NUMBER: Final = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _SOURCE: Final = re.compile(
@@ -25,7 +25,7 @@ _SOURCE: Final = re.compile(
 
 @final
 @dataclass(frozen=True, slots=True)
-class Warmth:
+class WarmStartReport:
     """What became of the other task's trials.
 
     Attributes:
@@ -56,7 +56,7 @@ def warm_start(
     *,
     timeout_s: float = 60.0,
     progress: Callable[[int], None] = lambda _: None,
-) -> Warmth:
+) -> WarmStartReport:
     """Reports the trials of another task to this one, under ids of their own: repeating it stores nothing twice.
 
     Coordinates of the same name are taken over. Costs and successes are; removed and judged trials are not, nor goals
@@ -76,7 +76,7 @@ def warm_start(
     terms = _terms(task.spec, source.spec, dict(columns or {}))
     counted = [0]
     done = import_rows(task, _rows(task, source, terms, counted), timeout_s, progress)
-    return Warmth(done.accepted, done.duplicates, counted[0])
+    return WarmStartReport(done.accepted, done.duplicates, counted[0])
 
 
 def _rows(task: Task, source: Task, terms: Mapping[str, Sequence[_Term]], skipped: list[int]) -> Iterator[FileRow]:

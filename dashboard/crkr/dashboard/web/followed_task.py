@@ -25,7 +25,7 @@ logger = logging.getLogger(__name__)
 
 TICK_S: Final = 0.25
 RENEW_S: Final = 2.0  # between two forms of a page
-IDLE_S: Final = 60.0  # without a reader, after which the server is left in peace
+IDLE_S: Final = 60.0  # without a reader, after which the task is no longer followed
 RETRY_S: Final = 1.0
 REST: Final = 1.0  # while a long log is read, the server is asked half of the time at most
 ENDS_S: Final = 5.0
@@ -93,19 +93,24 @@ class FollowedTask:
         while not self._stop.is_set():
             if not self._is_looked_at():
                 self._awake.clear()
-                self._awake.wait()
+                if not self._stop.is_set() and not self._is_looked_at():  # a look since then would go unheard
+                    self._awake.wait(IDLE_S)
                 self._view.resume(time.monotonic())
                 continue
             try:
-                with self._connect() as client:
-                    follow(client, client.task(self._name), self._feed, TICK_S, self._goes_on, rest=REST)
-            except CrkrError as error:
-                logger.info("the page of task %s waits: %s", self._name, error.message)
-                self._goes_on()
-                self._stop.wait(RETRY_S)
+                self._follow()
             except Exception:
                 logger.exception("the page of task %s could not be made", self._name)
                 self._stop.wait(RETRY_S)
+
+    def _follow(self) -> None:
+        try:
+            with self._connect() as client:
+                follow(client, client.task(self._name), self._feed, TICK_S, self._goes_on, rest=REST)
+        except CrkrError as error:
+            logger.info("the page of task %s waits: %s", self._name, error.message)
+            self._goes_on()
+            self._stop.wait(RETRY_S)
 
     def _is_looked_at(self) -> bool:
         return time.monotonic() - self._asked < IDLE_S

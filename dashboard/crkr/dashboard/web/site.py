@@ -91,8 +91,8 @@ def application(site: Site, hosts: frozenset[str] | None) -> ASGIApp:
 
     Args:
         site: What it shows.
-        hosts: Names by which it may be asked for; None is any. A page elsewhere that has a name of its own point here
-            must not read the site through a reader's browser.
+        hosts: Names by which it may be asked for; None is any. Refuses other host names, so that a foreign site
+            whose name resolves to this address cannot read the pages.
     """
 
     async def listing(request: Request) -> Response:

@@ -1,4 +1,4 @@
-"""The web server of the live pages: one thread, many readers, and none that is slow holds up others."""
+"""The web server of the live pages: one thread, many readers; a slow reader does not delay others."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ __all__ = ["TIMEOUT_S", "bound", "parse_address", "serve", "shown"]
 
 logger = logging.getLogger(__name__)
 
-MOST: Final = 1024  # connections; more are told to come again
+MOST: Final = 1024  # connections; more get 503
 LONGEST_S: Final = 60.0  # of a connection
 HEAD_BYTES: Final = 16_384
 QUEUED: Final = 512
@@ -72,6 +72,9 @@ def serve(connect: Callable[[], Client], listening: socket.socket, stop: StopReq
         listening: Where browsers connect to.
         stop: When to end.
         tied: End with the process that holds the other end of standard input.
+
+    Raises:
+        Unavailable: The web server ended by itself.
     """
     os.nice(NICE)
     with closing(Site(connect)) as site:
@@ -98,8 +101,11 @@ def serve(connect: Callable[[], Client], listening: socket.socket, stop: StopReq
             threading.Thread(target=_wait_for_end, args=(alone,), name="parent", daemon=True).start()
         while thread.is_alive() and not (stop or alone.is_set()):
             time.sleep(POLL_S)
+        ended = not (stop or alone.is_set())
         server.should_exit = True
         thread.join(ENDS_S)
+    if ended:
+        raise Unavailable("the web server ended; see its log")
 
 
 def _wait_for_end(alone: threading.Event) -> None:

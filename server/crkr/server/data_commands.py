@@ -1,4 +1,4 @@
-"""`crkr replay`, `backup`, `copy` and `purge`: look at logs, copy them, rid them of deleted tasks."""
+"""`crkr replay`, `backup`, `copy` and `purge`: look at logs, copy them, and remove deleted tasks."""
 
 from __future__ import annotations
 
@@ -68,6 +68,8 @@ def purge(
     from crkr.server.log.access import open_unserved
     from crkr.server.log.postgres.url import printable_location
 
+    if restore is not None and yes:
+        raise typer.BadParameter("--restore brings a task back and --yes removes all of them: give one of the two")
     log = open_unserved(data)
     try:
         gone = [name for name in log.reads.tasks() if name.startswith(DELETED)]

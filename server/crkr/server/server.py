@@ -8,6 +8,7 @@ import os
 import threading
 import time
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, final
@@ -16,7 +17,7 @@ from uuid import uuid4
 import zenoh
 
 from crkr.learner import Learner, Model
-from crkr.protocol import StorageError, live_server_key, rpc_key, task_key
+from crkr.protocol import StorageError, UnknownTask, live_server_key, rpc_key, task_key
 from crkr.protocol.keys import admin_key
 from crkr.server.inspection.seal_check import SealCheck
 from crkr.server.learning.acceleration import Acceleration
@@ -233,7 +234,8 @@ class Server:
         self._acceleration.step(task)
 
     def _found_damage(self, task: str, damage: str) -> None:
-        self.tasks.look(task).damage = damage
+        with suppress(UnknownTask):  # renamed or deleted meanwhile
+            self.tasks.look(task).damage = damage
 
     def _queues(self) -> dict[str, Any]:
         return {verb: depth for lane in self._lanes for verb, depth in lane.depths().items()}

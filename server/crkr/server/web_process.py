@@ -1,7 +1,7 @@
-"""The live pages of `crkr server --web`: a process of its own, which asks the server as any client does.
+"""The live pages of `crkr server --web`: a process of its own serves them and asks the server as any client does.
 
-So a page costs predictions no thread of the server, and no fault of it is the server's. The socket is the server's, so
-that a taken port is told at once, and that readers wait while the process is started again.
+If it fails, the server goes on. The socket is the server's, so that a taken port is told at once, and that readers wait
+while the process is started again.
 """
 
 from __future__ import annotations
@@ -15,10 +15,12 @@ import subprocess
 import sys
 import threading
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Final, final
 
 from crkr.protocol import Invalid, Unavailable
+from crkr.server.thread_faults import keep_running
 
 __all__ = ["WebProcess"]
 
@@ -48,7 +50,7 @@ class WebProcess:
         self._socket = _listening(host, port)
         number = self._socket.getsockname()[1]
         self.address: Final = f"[{host}]:{number}" if ":" in host else f"{host}:{number}"
-        self._stop = threading.Event()
+        self._stop, self._starting = threading.Event(), threading.Lock()
         self._process: subprocess.Popen[bytes] | None = None
         self._thread: threading.Thread | None = None
 
@@ -64,22 +66,29 @@ class WebProcess:
         command = [sys.executable, "-m", "crkr.client", "page", "--serve", self.address]
         command += ["--socket-fd", str(self._socket.fileno()), "--connect", _reachable(endpoint)]
         command += [] if zenoh_config is None else ["--zenoh-config", str(zenoh_config)]
-        self._thread = threading.Thread(target=self._run, args=(command,), name="web process", daemon=True)
+        step = partial(self._serve, command)
+        self._thread = threading.Thread(target=keep_running, args=(step,), name="web process", daemon=True)
         self._thread.start()
 
-    def _run(self, command: list[str]) -> None:
-        while not self._stop.is_set():
+    def _serve(self, command: list[str]) -> bool:
+        with self._starting:
+            if self._stop.is_set():
+                return False
             # It ends when the pipe to it does, so none is left behind by a server that was killed.
-            with subprocess.Popen(command, stdin=subprocess.PIPE, pass_fds=[self._socket.fileno()]) as process:
-                self._process = process
-                status = process.wait()
-            if not self._stop.wait(_PAUSE_S):
-                logger.warning("the process of the web page ended with status %d; it is started again", status)
+            process = subprocess.Popen(command, stdin=subprocess.PIPE, pass_fds=[self._socket.fileno()])
+            self._process = process
+        with process:
+            status = process.wait()
+        if self._stop.wait(_PAUSE_S):
+            return False
+        logger.warning("the process of the web page ended with status %d; it is started again", status)
+        return True
 
     def close(self) -> None:
         """End the process and stop listening."""
         self._stop.set()
-        process = self._process
+        with self._starting:
+            process = self._process
         if process is not None and process.poll() is None:
             process.terminate()
             try:

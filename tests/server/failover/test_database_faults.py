@@ -13,6 +13,7 @@ from crkr.client import Task
 from crkr.protocol import StorageError, Unavailable
 from crkr.server.follower import Follower
 from crkr.server.log import LoggedTrial, read_log
+from crkr.server.log.postgres.url import printable_location
 
 BEAT = "SELECT beat FROM crkr.log"
 
@@ -84,6 +85,20 @@ def test_a_server_that_the_database_refuses_is_told_why_without_the_password(
         assert "wrong" not in caught.value.message
         assert "\n" not in caught.value.message
     postgres.execute(database, "DROP ROLE guarded")
+
+
+@pytest.mark.parametrize(
+    ("url", "shown"),
+    [
+        ("postgresql://u:word@h:5432/db", "postgresql://u@h:5432/db"),
+        ("postgresql://u:p@ss@h/db", "postgresql://u@h/db"),
+        ("postgresql://u:pa/ss@h/db", "postgresql://u@h/db"),
+        ("postgresql://h:5432/db?password=p@ss&user=u", "postgresql://h:5432/db?password=...&user=u"),
+        ("postgresql://u@h:5432,k:5433/db", "postgresql://u@h:5432,k:5433/db"),
+    ],
+)
+def test_a_location_is_shown_without_its_password(url: str, shown: str) -> None:
+    assert printable_location(url) == shown
 
 
 def test_a_server_waits_for_a_database_that_is_away(

@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any
 from uuid import UUID, uuid4
 
+import psycopg
 import pytest
 from postgres import TcpLink
 from psycopg import sql
@@ -16,7 +17,7 @@ from crkr.server.follower import Follower
 from crkr.server.learning.restore import catch_up, restore_all
 from crkr.server.learning.tasks import ServedTask
 from crkr.server.log import PendingReport, Stored, read_log
-from crkr.server.log.access import database_summary
+from crkr.server.log.access import database_summary, open_unserved
 from crkr.server.log.postgres.lease import Lease
 from crkr.server.log.postgres.log import PostgresLog
 
@@ -235,6 +236,34 @@ def test_a_database_without_free_connections_is_away_until_it_has_some(
     run(sql.SQL("ALTER ROLE {} CONNECTION LIMIT -1").format(role))
     assert owner.store(1) == ([], (2,))
     owner.log.close()
+
+
+def test_a_lock_that_another_program_holds_makes_reports_wait_and_not_the_server_hang(
+    own: Callable[..., Owner], url: str
+) -> None:
+    owner = own()
+    owner.log.create(SPEC)
+    with psycopg.connect(url) as other:
+        other.execute("LOCK TABLE crkr.trial")
+        with pytest.raises(ShuttingDown, match=r"the database is away .*lock timeout"):
+            owner.store(1)
+    assert owner.store(1) == ([], (2,))
+    assert not owner.lost.is_set()
+
+
+def test_a_command_that_writes_keeps_the_log_and_gives_it_up_where_it_is_damaged(
+    url: str, run: Callable[[Any], Any], processes: Any
+) -> None:
+    log = open_unserved(url)
+    [(beat,)] = run("SELECT beat FROM crkr.log")
+    processes.wait_until(lambda: run("SELECT beat FROM crkr.log")[0][0] > beat + 1)
+    log.create(SPEC)
+    log.append_reports(report(1))
+    log.close()
+    run("DELETE FROM crkr.trial")
+    with pytest.raises(StorageError, match="holds 1 entries, but 2 were acknowledged"):
+        open_unserved(url)
+    assert run("SELECT owner, epoch FROM crkr.log") == [(None, 2)]
 
 
 def test_tables_of_another_version_or_another_program_are_refused(

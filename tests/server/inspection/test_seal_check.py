@@ -1,5 +1,6 @@
 """A long log is looked over row by row after the start: damage that no prediction rests on is found and told too."""
 
+import json
 import os
 import queue
 import sqlite3
@@ -97,6 +98,16 @@ def test_a_whole_log_is_found_whole_and_a_server_may_end_meanwhile(
     processes.wait_until(lambda: "task reach: every row is as it was stored" in server.log.read_text(), server.log)
     assert "damage" not in connect(server.endpoint)("task/reach/rpc/status")
     assert "Traceback" not in server.log.read_text()
+
+
+def test_what_cannot_be_looked_over_is_no_damage(long_log: Path, free_port: int) -> None:
+    away = f"postgresql://crkr@127.0.0.1:{free_port}/crkr"
+    words = [sys.executable, "-m", "crkr.server.inspection.seal_check"]
+    for where, says, status in ((str(long_log), '["reach", ""]\n', 0), (away, "", 1)):
+        asked = json.dumps([where, {"gone": 7, "reach": COUNT + 1}])
+        done = subprocess.run(words, input=asked, capture_output=True, text=True, timeout=60, check=False)
+        assert (done.stdout, done.returncode) == (says, status)
+        assert "Traceback" not in done.stderr
 
 
 def test_files_in_the_working_directory_are_not_taken_for_modules(

@@ -1,7 +1,7 @@
 """Both logs keep what they were given, once and in order."""
 
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -13,10 +13,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from logged_trials import SPEC, trial, trials_of
 
-from crkr.protocol import KINDS, Conflict, pack
+from crkr.protocol import KINDS, Conflict, StorageError, pack
 from crkr.server.learning.restore import restore
 from crkr.server.log import Event, LoggedTrial, PendingReport, SqliteLog, Stored, TaskLog, read_log
-from crkr.server.log.access import copy_tasks, open_unserved
+from crkr.server.log.access import copy_tasks, copy_to_file, open_unserved
 
 
 @pytest.fixture
@@ -171,6 +171,8 @@ def test_a_reader_beside_the_writer_sees_one_moment(log: TaskLog) -> None:
         log.append_reports([PendingReport("reach", (trial(1),))])
         assert reader.last("reach") == 1
     assert reader.last("reach") == 2
+    with pytest.raises(ValueError, match="of the block itself"), reader.snapshot():
+        raise ValueError("of the block itself")
     reader.close()
 
 
@@ -196,6 +198,21 @@ def test_rows_copied_from_log_to_log_are_the_same_bytes(log: TaskLog, tmp_path: 
         assert copy.reads.last("reach") == log.reads.last("reach") + 1
     finally:
         copy.close()
+
+
+def test_a_copy_in_a_file_is_whole_and_takes_no_file_s_place(log: TaskLog, tmp_path: Path) -> None:
+    log.append_reports([PendingReport("reach", (trial(1), trial(2)))])
+    target = tmp_path / "backups" / "monday.sqlite3"
+    with pytest.raises(StorageError, match=r"cannot back up to .*: No such file or directory"):
+        copy_to_file(log.reads, target)
+    target.parent.mkdir()
+    copy_to_file(log.reads, target)
+    log.append_reports([PendingReport("reach", (trial(3),))])
+    with pytest.raises(StorageError, match="exists; choose another file"):
+        copy_to_file(log.reads, target)
+    with closing(read_log(target)) as copy:
+        assert copy.positions() == {"reach": 3}
+    assert list(target.parent.iterdir()) == [target]
 
 
 def test_a_task_takes_another_name_is_deleted_and_purged(log: TaskLog, reopen: Callable[[], TaskLog]) -> None:

@@ -14,10 +14,10 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Mapping
-from contextlib import suppress
+from contextlib import closing, suppress
 from typing import IO, Final, final
 
-from crkr.protocol import StorageError
+from crkr.protocol import ShuttingDown, StorageError, UnknownTask
 from crkr.server.installed_code import InstalledCode
 from crkr.server.log import read_log
 from crkr.server.thread_faults import run_once
@@ -109,17 +109,19 @@ def main(where: str, tasks: Mapping[str, int]) -> None:
     """The process: reports the damage of each task, "" if there is none."""
     with suppress(BrokenPipeError):  # the server is gone
         for task, upto in tasks.items():
-            sys.stdout.write(json.dumps([task, _damage(where, task, upto)]) + "\n")
-            sys.stdout.flush()
+            with suppress(UnknownTask):  # renamed or deleted meanwhile
+                sys.stdout.write(json.dumps([task, _damage(where, task, upto)]) + "\n")
+                sys.stdout.flush()
 
 
 def _damage(where: str, task: str, upto: int) -> str:
     try:
-        reader = read_log(where)
-        reader.check(task, upto)
+        with closing(read_log(where)) as reader:
+            reader.check(task, upto)
     except StorageError as error:
+        if isinstance(error.__cause__, ShuttingDown):  # the database is away, which says nothing of the rows
+            sys.exit(f"task {task}: {error.message}")
         return error.message
-    reader.close()
     return ""
 
 

@@ -8,6 +8,7 @@ import sqlite3
 import tempfile
 import time
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Final
 
@@ -96,6 +97,16 @@ def copy_to_file(source: LogReader, target: Path) -> None:
     """Copy a whole log into a new file of SQLite's, which gets its name only once it is complete."""
     if target.exists():
         raise StorageError(f"{target} exists; choose another file")
+    try:
+        with storage_errors(f"back up to {target}"):
+            _write_file(source, target)
+    except FileExistsError as error:  # made meanwhile
+        raise StorageError(f"{target} exists; choose another file") from error
+    except OSError as error:
+        raise StorageError(f"cannot back up to {target}: {error.strerror}") from error
+
+
+def _write_file(source: LogReader, target: Path) -> None:
     folder = Path(tempfile.mkdtemp(prefix=f".{target.name}.", dir=target.parent))
     try:
         log = SqliteLog(folder)
@@ -103,11 +114,19 @@ def copy_to_file(source: LogReader, target: Path) -> None:
             copy_tasks(source, log)
         finally:
             log.close()
-        with storage_errors(f"back up to {target}"):
-            copy = sqlite3.connect(log.path)
+        with closing(sqlite3.connect(log.path)) as copy:
             copy.execute("PRAGMA journal_mode = DELETE")  # one file, complete in itself
-            copy.close()
-        os.replace(log.path, target)
+        try:
+            os.link(log.path, target)
+        except FileExistsError:
+            raise
+        except OSError:  # a file system without links
+            os.rename(log.path, target)
+        parent = os.open(target.parent, os.O_RDONLY)
+        try:
+            os.fsync(parent)  # the name is on the disk too
+        finally:
+            os.close(parent)
     finally:
         shutil.rmtree(folder, ignore_errors=True)
 
@@ -121,11 +140,14 @@ def open_unserved(where: str) -> TaskLog:
 
     lease = Lease(where)
     deadline = time.monotonic() + 2 * LEASE_S
-    while True:
-        row = lease.look()
-        if lease.may_take(row) and lease.take(row):
-            return PostgresLog(where, lease, row)
-        if time.monotonic() > deadline:
-            lease.give_up()
-            raise StorageError(f"the server at {row.address} uses {printable_location(where)}; stop it first")
-        time.sleep(_LOOK_S)
+    try:
+        while not (lease.may_take(row := lease.look()) and lease.take(row)):
+            if time.monotonic() > deadline:
+                raise StorageError(f"the server at {row.address} uses {printable_location(where)}; stop it first")
+            time.sleep(_LOOK_S)
+        log = PostgresLog(where, lease, row)
+    except BaseException:
+        lease.give_up()
+        raise
+    log.keep(lambda _: None)  # a write to a log that another server took is refused
+    return log

@@ -223,9 +223,14 @@ class LogReader:
 
     def raw(self, task: str) -> tuple[Iterator[tuple[Any, ...]], Iterator[tuple[Any, ...]]]:
         """A task's events and its trials as the tables hold them, without the task's key, to be stored elsewhere."""
-        key = self._key(task)
-        upto = self._last(key)
-        return self._pages(_EVENTS, key, 0, upto, _FEW), self._pages(_TRIALS, key, 0, upto, _BLOCK)
+        with self._database.errors(f"read the log of task {task!r}"):
+            key = self._key(task)
+            upto = self._last(key)
+        return self._raw(task, _EVENTS, key, upto, _FEW), self._raw(task, _TRIALS, key, upto, _BLOCK)
+
+    def _raw(self, task: str, statement: str, key: int, upto: int, share: int) -> Iterator[tuple[Any, ...]]:
+        with self._database.errors(f"read the log of task {task!r}"):
+            yield from self._pages(statement, key, 0, upto, share)
 
     def load_cache(self, task: str) -> tuple[int, bytes] | None:
         """The cached bytes and their log position; None if missing or damaged."""

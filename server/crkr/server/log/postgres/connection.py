@@ -35,6 +35,8 @@ _DEFAULTS: Final = {
 }
 # A session that is left in the middle of something must not hold a lock for long. Bytes are compared, texts as well.
 _SETTINGS: Final = "SET search_path = crkr; SET idle_in_transaction_session_timeout = '10s'; SET synchronous_commit = "
+_DEADLINES: Final = "SET lock_timeout = '5s'; SET statement_timeout = '30s'"  # a commit is never cut short by them
+_NO_DEADLINE: Final = "SET statement_timeout = 0"
 _TABLES: Final = """
 CREATE TABLE crkr.log (
     one boolean PRIMARY KEY DEFAULT true CHECK (one), version integer NOT NULL, id uuid NOT NULL,
@@ -66,8 +68,13 @@ _ADVICE: Final[tuple[tuple[type[psycopg.Error], str], ...]] = (
 )
 
 
-def connect(url: str) -> psycopg.Connection[Any]:
-    """A connection with the log's settings, which commits each statement; raises `psycopg.Error`."""
+def connect(url: str, *, reading: bool = False) -> psycopg.Connection[Any]:
+    """A connection with the log's settings, which commits each statement; raises `psycopg.Error`.
+
+    Args:
+        url: The database.
+        reading: A statement may take as long as it takes; otherwise it waits 5 s for a lock and runs 30 s at most.
+    """
     given: dict[str, Any] = dict(conninfo_to_dict(url))
     defaults = dict(_DEFAULTS)
     if "," in str(given.get("host", "")):  # several: the primary among them
@@ -77,7 +84,7 @@ def connect(url: str) -> psycopg.Connection[Any]:
         # A commit is on the disk, and on a synchronous standby where there is one, before it is acknowledged.
         row = connection.execute("SHOW synchronous_commit").fetchone()
         kept = row[0] if row and row[0] in ("remote_apply", "on") else "on"
-        connection.execute(_SETTINGS + kept)
+        connection.execute(f"{_SETTINGS}{kept}; {_NO_DEADLINE if reading else _DEADLINES}")
     except BaseException:
         connection.close()
         raise
@@ -86,7 +93,14 @@ def connect(url: str) -> psycopg.Connection[Any]:
 
 def is_away(error: psycopg.Error, connection: psycopg.Connection[Any] | None) -> bool:
     """Whether an error says that the database is away for now, rather than that it refuses something."""
-    away = (errors.AdminShutdown, errors.CrashShutdown, errors.CannotConnectNow, errors.TooManyConnections)
+    away = (
+        errors.AdminShutdown,
+        errors.CrashShutdown,
+        errors.CannotConnectNow,
+        errors.TooManyConnections,
+        errors.QueryCanceled,  # past its deadline
+        errors.LockNotAvailable,
+    )
     refused = (errors.InvalidPassword, errors.InvalidAuthorizationSpecification, errors.InvalidCatalogName)
     if isinstance(error, refused):
         return False

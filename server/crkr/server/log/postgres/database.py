@@ -39,12 +39,16 @@ class PostgresDatabase:
         self.where: Final = printable_location(url)
         self._url = url
         self._threads = threading.local()
+        self._opening = threading.Lock()
         self._open: list[tuple[threading.Thread, psycopg.Connection[Any]]] = []
-        with read_errors(f"open the task log {self.where}"):
-            self.is_log: Final = prepare(self._connection(), url, create=False)
-        if not self.is_log:
+        try:
+            with read_errors(f"open the task log {self.where}"):
+                self.is_log: Final = prepare(self._connection(), url, create=False)
+            if not self.is_log:
+                raise StorageError(f"there is no task log in {self.where}")
+        except BaseException:
             self.close()
-            raise StorageError(f"there is no task log in {self.where}")
+            raise
 
     @property
     def acknowledged(self) -> int:
@@ -69,16 +73,18 @@ class PostgresDatabase:
     @contextmanager
     def snapshot(self) -> Iterator[None]:
         """As `Database.snapshot`."""
-        with read_errors(f"read the task log {self.where}"):
+        doing = f"read the task log {self.where}"
+        with read_errors(doing):
             connection = self._connection()
             connection.execute("SET idle_in_transaction_session_timeout = 0")  # reading holds nothing up
             connection.execute("BEGIN ISOLATION LEVEL REPEATABLE READ READ ONLY")
-            self._threads.within = True
-            try:
-                yield
-            finally:
-                self._threads.within = False
-                if not connection.broken:
+        self._threads.within = True
+        try:
+            yield
+        finally:
+            self._threads.within = False
+            if not connection.broken:
+                with read_errors(doing):
                     connection.execute("ROLLBACK")
 
     def integrity(self) -> list[str]:
@@ -96,8 +102,9 @@ class PostgresDatabase:
 
     def close(self) -> None:
         """Close the connections of this thread and of those that ended; idempotent."""
-        while self._open:
-            thread, connection = self._open.pop()
+        with self._opening:
+            opened, self._open = self._open, []
+        for thread, connection in opened:
             if thread is threading.current_thread() or not thread.is_alive():
                 connection.close()
 
@@ -108,9 +115,10 @@ class PostgresDatabase:
     def _connection(self) -> psycopg.Connection[Any]:
         connection: psycopg.Connection[Any] | None = getattr(self._threads, "connection", None)
         if connection is None or connection.closed:
-            self._open = [one for one in self._open if not one[1].closed]
-            connection = self._threads.connection = connect(self._url)
-            self._open.append((threading.current_thread(), connection))
+            connection = self._threads.connection = connect(self._url, reading=True)
+            with self._opening:
+                self._open = [one for one in self._open if not one[1].closed]
+                self._open.append((threading.current_thread(), connection))
         return connection
 
 

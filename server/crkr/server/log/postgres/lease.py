@@ -1,7 +1,7 @@
 """Ownership of a log: the one row of the table `log` says which server may write to it.
 
 Each take raises the epoch, and each write names the epoch of its server, so that a server that was replaced cannot
-write any more, whatever it believes. The lease only decides when another server may take: when the owner gave it up,
+write any more. The lease only decides when another server may take: when the owner gave it up,
 when its connection to the database is gone, as after a kill, or when it raised no `beat` for `LEASE_S` while the other
 server watched. No clock is compared with another one's.
 """

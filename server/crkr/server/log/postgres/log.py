@@ -66,6 +66,7 @@ _ADOPT_TRIALS: Final = f"INSERT INTO trial (task, {ROW_COLUMNS}) VALUES ({', '.j
 _ADOPT_EVENTS: Final = f"INSERT INTO event ({_EVENT_COLUMNS}) VALUES ({', '.join(['%b'] * 6)})"
 _HOLD: Final = "UPDATE log SET positions = positions + %s WHERE epoch = %s AND positions = %s RETURNING one"
 _PURGE: Final = "UPDATE log SET purged = purged + %s WHERE epoch = %s RETURNING one"
+_PATIENT: Final = "SET LOCAL statement_timeout = 0"  # a whole task's rows take long
 _KNOWN: Final = "SELECT id, seq, digest FROM trial WHERE task = %b AND id = ANY(%b::bytea[])"
 _ROWS: Final = f"SELECT {ROW_COLUMNS} FROM trial WHERE task = ? AND id = ?"
 _CACHE: Final = """INSERT INTO cache (task, version, data, digest) VALUES (%b, %b, %b, %b) ON CONFLICT (task) DO UPDATE
@@ -156,7 +157,7 @@ class PostgresLog:
             return self._append(reports, {})
         except errors.UniqueViolation:
             known: dict[tuple[int, bytes], tuple[int, bytes]] = {}
-            with database_errors("look up trials", self._writer):
+            with self._writing, database_errors("look up trials", self._writer):
                 for report in reports:
                     key = self._keys[report.task]
                     rows = self._connected().execute(_KNOWN, (key, [one.id.bytes for one in report.trials]))
@@ -196,7 +197,7 @@ class PostgresLog:
         gone = [name for name in self._last if name.startswith(DELETED)]
         keys, positions = [self._keys[name] for name in gone], sum(self._last[name] for name in gone)
         with database_errors("purge the deleted tasks"), self._writing, self._connected().transaction() as block:
-            cursor = block.connection.cursor()
+            cursor = block.connection.cursor().execute(_PATIENT)
             for table, column in (("trial", "task"), ("event", "task"), ("cache", "task"), ("task", "id")):
                 statement = sql.SQL("DELETE FROM {} WHERE {} = ANY(%s)")
                 cursor.execute(statement.format(sql.Identifier(table), sql.Identifier(column)), (keys,))
@@ -212,7 +213,7 @@ class PostgresLog:
         at = _WORKER - 1
         added = 0
         with database_errors(f"copy task {task!r}"), self._writing, self._connected().transaction() as block:
-            cursor = block.connection.cursor()
+            cursor = block.connection.cursor().execute(_PATIENT)
             cursor.execute("INSERT INTO task (id, name) VALUES (%s, %s)", (key, task))
             cursor.executemany(_ADOPT_EVENTS, [(key, *row) for row in events])
             added += cursor.rowcount

@@ -9,7 +9,8 @@ from typing import Final
 __all__ = ["is_url", "printable_location"]
 
 _URL: Final = re.compile(r"postgres(?:ql)?://")
-_PASSWORD: Final = re.compile(r"(://[^/@:]*):[^@/]*@|(password=)[^&]*")
+_PARAMETER: Final = re.compile(r"(password=)[^&]*")
+_PASSWORD: Final = re.compile(r"(://[^/@:]*):.*@", re.DOTALL)  # it may hold / and @, and ends at the last @
 
 
 def is_url(where: str | Path) -> bool:
@@ -19,4 +20,4 @@ def is_url(where: str | Path) -> bool:
 
 def printable_location(where: str | Path) -> str:
     """A location without its password."""
-    return _PASSWORD.sub(lambda found: f"{found[1]}@" if found[1] else f"{found[2]}...", str(where))
+    return _PASSWORD.sub(r"\1@", _PARAMETER.sub(r"\1...", str(where)))

@@ -84,11 +84,13 @@ class TrialHistory:
         return float(self.successes(rows).mean()) if len(rows) else None
 
     def _newest(self, kinds: tuple[int, ...], count: int) -> Indices:
+        wanted = np.zeros(len(KINDS), dtype=bool)
+        wanted[list(kinds)] = True
         found: list[Indices] = []
         missing, end = count, len(self.seqs)
         while missing > 0 and end > 0:
-            rows = np.arange(max(0, end - 2 * count), end)
-            rows = rows[np.isin(self.kinds[rows], kinds) & ~self.removed[rows]]
+            start = max(0, end - 2 * count)
+            rows = start + np.flatnonzero(wanted[self.kinds[start:end]] & ~self.removed[start:end])
             found.insert(0, rows[-missing:])
             missing, end = missing - len(rows), end - 2 * count
         return np.concatenate(found) if found else np.zeros(0, dtype=np.int64)

@@ -4,12 +4,13 @@ import fcntl
 import os
 import re
 import signal
-import socket
 import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+
+from crkr.client import Client
 
 Ask = Callable[..., dict[str, Any]]
 LINES = 1200  # more than wait to be written
@@ -61,24 +62,20 @@ def test_a_server_whose_log_is_closed_goes_on(
 
 
 def test_a_server_whose_log_is_full_or_was_never_open_goes_on(
-    free_port: int, tmp_path: Path, connect: Callable[[str], Ask], reach: dict[str, Any], processes: Any
+    free_port: int, tmp_path: Path, connect: Callable[[str], Ask], reach: dict[str, Any]
 ) -> None:
     endpoint = f"tcp/127.0.0.1:{free_port}"
     for sink in ("2>/dev/full", "<&- >&- 2>&-"):
         line = f"exec {sys.executable} -m crkr.client server --listen {endpoint} --data {tmp_path / 'data'} {sink}"
         with subprocess.Popen(["bash", "-c", line]) as process:
-            processes.wait_until(lambda: listens(free_port))
+            with Client(endpoint) as client:
+                client.wait_until_ready(60)  # it listens before it answers
             ask = connect(endpoint)
             assert ask("rpc/create_task", {**reach, "name": f"task-{len(sink)}"})["created"] is True
             taken = {os.readlink(f"/proc/{process.pid}/fd/{number}") for number in range(3)}
             assert not any("data" in name or "socket" in name for name in taken)
             process.send_signal(signal.SIGTERM)
             assert process.wait(timeout=10) == 0
-
-
-def listens(port: int) -> bool:
-    with socket.socket() as probe:
-        return probe.connect_ex(("127.0.0.1", port)) == 0
 
 
 def test_logging_what_cannot_be_formatted_raises_nothing() -> None:

@@ -184,5 +184,5 @@ def _log_to_stderr(level: str) -> StderrLog:
 
     number = logging.getLevelName(level.upper())
     if not isinstance(number, int):
-        raise typer.BadParameter(f"{level!r} is none of debug, info, warning, error", param_hint="--log-level")
+        raise typer.BadParameter(f"no level {level!r}; choose debug, info, warning or error", param_hint="--log-level")
     return StderrLog(number)

@@ -120,7 +120,7 @@ def sim(
     elif skill == "throw":
         from crkr.experiments.bench.throw import measure
     else:
-        raise typer.BadParameter(f"{skill!r} is none of table-tennis, throw", param_hint="--skill")
+        raise typer.BadParameter(f"no skill {skill!r} is measured; choose table-tennis or throw", param_hint="--skill")
     title = f"{skill}, {trials} trials after the first 300 of seed {seed}, one BLAS thread"
     _measure_with_progress(measure(trials, seed), title, as_json)
 

@@ -42,7 +42,7 @@ class ForwardModel:
     Args:
         spec: The task; it must have outcomes.
         seed: Of the noise that explores.
-        surface: Makes the model's surface for so many outcome entries and inputs.
+        surface: Makes the model's surface for a number of outcome entries and one of inputs.
         noise: Its standard deviation in scales of the goal.
         trust: How many scales of a goal are as bad as one tolerance of the outcome.
     """

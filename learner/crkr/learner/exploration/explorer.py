@@ -50,7 +50,7 @@ class Explorer(Protocol):
         ...
 
     def prepare(self, trials: int = 0) -> bool:
-        """Work off at most so many trials that answers wait for; True once none is left. For one thread at a time."""
+        """Process at most this many trials that answers wait for; True once all are done. For one thread at a time."""
         ...
 
     @property

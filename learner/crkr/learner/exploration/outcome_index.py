@@ -103,7 +103,7 @@ class ObservedTrials:
         return len(self.X)
 
     def enough(self, least: int) -> tuple[int, ...]:
-        """The groups that were observed in this many of the newest trials, as far as so many are not sealed."""
+        """The groups observed in at least `least` of the newest, unsealed trials."""
         return tuple(group for group in range(self.everything) if self.counts[group] >= min(least, _UNSEALED))
 
     def newest(self) -> ObservedTrials:

@@ -184,7 +184,7 @@ class DeferredCalibration:
         return self._finished()[0]
 
     def advance(self, trials: int) -> bool:
-        """Note at most so many more trials; True once it is worked out. For one thread at a time."""
+        """Note at most `trials` more trials; True once all are noted. For one thread at a time."""
         if self._made is None:
             first, self._noted = self._noted, min(self._noted + trials, len(self._steps))
             self._record.extend(self._steps[first : self._noted])

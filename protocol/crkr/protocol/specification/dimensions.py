@@ -15,7 +15,7 @@ AIMS: Final = ("equal", "at_least", "at_most")
 
 
 def _given(entry: Mapping[str, Any], field: str, where: str) -> Any:
-    """The required field's value; among so many coordinates the complaint has to say whose is missing."""
+    """The required field's value; the error names the coordinate that lacks it."""
     if field not in entry:
         raise Invalid(f"field {field!r} is required in {where}", details={"field": f"{where}.{field}"})
     return entry[field]

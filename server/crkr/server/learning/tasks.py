@@ -186,7 +186,7 @@ class Tasks:
         """The task.
 
         Raises:
-            UnknownTask: There is none of that name.
+            UnknownTask: No task has that name.
             Internal: It could not be restored.
         """
         task = self._by_name.get(name)

@@ -16,7 +16,7 @@ from crkr.protocol import TaskSpec
 from crkr.sim_worker.randomness import fresh_rng, training_rng
 from crkr.sim_worker.skill import Skill
 
-__all__ = ["RIVALS", "Contest", "compete"]
+__all__ = ["RIVALS", "Contest", "compete", "train"]
 
 RIVALS: Final[dict[str, Callable[[TaskSpec, int], Rival]]] = {
     "crkr": Crkr,
@@ -38,27 +38,33 @@ class Contest:
         contexts: Fresh contexts at each.
         judge: Seed of these contexts.
         demonstrations: Number before the first trial.
+        criterion: Of success, where the skill has several; None: its last, strictest one.
     """
 
     marks: tuple[int, ...]
     contexts: int
     judge: int
     demonstrations: int
+    criterion: str | None = None
 
 
 def compete(skill: Skill, contest: Contest, rival: str, seed: int) -> tuple[list[Row], float]:
+    """Trains a rival by its name; see `train`."""
+    return train(skill, contest, RIVALS[rival](skill.spec(), seed), rival, seed)
+
+
+def train(skill: Skill, contest: Contest, learner: Rival, way: str, seed: int) -> tuple[list[Row], float]:
     """Trains a rival, and judges it at every mark.
 
     Returns:
-        Its rows, and the processor time of one ask and tell [ms].
+        Its rows, named `way`, and the processor time of one ask and tell [ms].
     """
-    learner = RIVALS[rival](skill.spec(), seed)
     learner.start(demonstrated(skill, contest.demonstrations, seed))
     rng, rows, busy = training_rng(seed, 1), list[Row](), 0.0
     for trial in range(contest.marks[-1] + 1):
         if trial in contest.marks:
             score = judge(skill, learner.policy, trial, contest.contexts, lambda ball: fresh_rng(contest.judge, ball))
-            rows.append(judged_row(rival, seed, score))
+            rows.append(judged_row(way, seed, score, contest.criterion))
         if trial == contest.marks[-1]:
             break
         state = skill.reset(rng)

@@ -7,7 +7,7 @@ from typing import Protocol, final
 
 import numpy as np
 
-from crkr.learner import Learner
+from crkr.learner import Learner, SelectorFactory
 from crkr.protocol import TaskSpec, training_id
 from crkr.sim_worker.skill import Demonstration, Floats, TrialResult
 
@@ -86,10 +86,10 @@ class TaskScales:
 
 @final
 class Crkr:
-    """crkr's own learner, as a worker uses it."""
+    """crkr's own learner, as a worker uses it; a `selector` takes the place of the specification's."""
 
-    def __init__(self, spec: TaskSpec, seed: int) -> None:
-        self._learner = Learner(TaskSpec.from_dict({**spec.to_dict(), "seed": seed}))
+    def __init__(self, spec: TaskSpec, seed: int, selector: SelectorFactory | None = None) -> None:
+        self._learner = Learner(TaskSpec.from_dict({**spec.to_dict(), "seed": seed}), selector=selector)
         self._seed = seed
         self._trials = 0
 

@@ -30,7 +30,7 @@ class Row:
         way: What learned it, e.g. a rival's name.
         seed: Of demonstrations, training contexts and exploration.
         trials: Training trials that it had learned from.
-        successes: Judged contexts that succeeded by the last, strictest criterion of the skill.
+        successes: Judged contexts that succeeded by one criterion of the skill, its last and strictest unless told.
         contexts: Judged contexts.
     """
 
@@ -41,10 +41,17 @@ class Row:
     contexts: int
 
 
-def judged_row(way: str, seed: int, score: Score) -> Row:
-    """The row of a score."""
-    strictest = list(score.tally.criteria)[-1]
-    return Row(way, seed, score.trials, score.tally.successes.get(strictest, 0), score.contexts)
+def judged_row(way: str, seed: int, score: Score, criterion: str | None = None) -> Row:
+    """The row of a score by a criterion, or by the skill's last one.
+
+    Raises:
+        Invalid: The skill has no such criterion.
+    """
+    there = list(score.tally.criteria)
+    criterion = criterion or there[-1]
+    if criterion not in there:
+        raise Invalid(f"no criterion {criterion!r}; there are: {', '.join(there)}")
+    return Row(way, seed, score.trials, score.tally.successes.get(criterion, 0), score.contexts)
 
 
 @final

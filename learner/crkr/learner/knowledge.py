@@ -306,7 +306,7 @@ class Knowledge:
         rows = history.newest_tried(MOST_RECENT)
         if not len(rows):
             return None
-        return SuccessRate(self._kernel.standardise(history.states[rows]), history.successes(rows).astype(float))
+        return SuccessRate(history.states[rows], history.successes(rows).astype(float), self._kernel)
 
     def _prior(self) -> Array:
         rows = self.store.demonstrations()

@@ -173,7 +173,7 @@ class Model:
     def to_wire(self) -> dict[str, Any]:
         """The model as data, as the `model` query returns it."""
         samples = {"states": self.states, "goals": self.goals, "costs": self.costs, "ids": list(self.ids)}
-        rate = {} if self.rate is None else {"recent": {"states": self.rate.Z, "success": self.rate.success}}
+        rate = {} if self.rate is None else {"recent": {"states": self.rate.standardised, "success": self.rate.success}}
         return {"version": self.version, **samples, **self.parameters.to_wire(), **rate}
 
     @classmethod

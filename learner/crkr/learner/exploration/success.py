@@ -8,12 +8,14 @@ The weights maximise the posterior under a normal prior [Rasmussen2006, ch. 3.4 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final, final
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit
 
+from crkr.learner.kernel import Kernel
 from crkr.protocol import Array
 from crkr.protocol.earlier_python import vecdot
 
@@ -64,28 +66,48 @@ class SuccessCurve:
 
 
 @final
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class SuccessRate:
     """How often the newest trials succeeded in states near by; for tasks whose outcomes are not modelled.
 
+    What it needs besides is made when first asked for, as a step is often followed by another before any question.
+
     Attributes:
-        Z: (n, d) standardised states of the newest trials, n >= 1.
+        states: (n, d) states of the newest trials, n >= 1.
         success: (n,) 1 for a success, else 0.
+        kernel: Standardises the states; None: they are already.
     """
 
-    Z: Array
+    states: Array
     success: Array
+    kernel: Kernel | None = None
 
     def at(self, z: Array) -> Array:
         """P(success) () or (b,) of a trial at standardised states (d,) or (b, d).
 
         A mean weighted by the squared-exponential kernel, drawn towards the mean of all as if by two more trials.
         """
-        away = self.Z - (z if z.ndim == 1 else z[:, None])
-        near = np.exp(-0.5 * vecdot(away, away))
-        hits = near @ self.success + _MORE_TRIALS * self.success.mean()
-        rate = hits / (near.sum(axis=-1) + _MORE_TRIALS)
-        return np.asarray(np.minimum(rate, 1.0))  # which rounding exceeds by a bit
+        half_squares, sums, more = self._terms
+        exponents = z @ self.standardised.T
+        exponents -= half_squares
+        exponents -= 0.5 * (float(z @ z) if z.ndim == 1 else vecdot(z, z)[:, None])
+        near = np.exp(np.minimum(exponents, 0.0, out=exponents), out=exponents)  # above 0 by rounding alone
+        weighed = near @ sums
+        if z.ndim == 1:
+            hits, count = weighed.tolist()  # floats take a third of the time
+            return np.array(min((hits + more) / (count + _MORE_TRIALS), 1.0))  # which rounding exceeds by a bit
+        return np.asarray(np.minimum((weighed[:, 0] + more) / (weighed[:, 1] + _MORE_TRIALS), 1.0))
+
+    @cached_property
+    def standardised(self) -> Array:
+        """(n, d) standardised states."""
+        return self.states if self.kernel is None else self.kernel.standardise(self.states)
+
+    @cached_property
+    def _terms(self) -> tuple[Array, Array, float]:
+        """Half the squares of the states (n,), what is summed up (n, 2), and the successes of the trials added."""
+        sums = np.stack((self.success, np.ones(len(self.success))), axis=1)
+        return 0.5 * vecdot(self.standardised, self.standardised), sums, _MORE_TRIALS * float(self.success.mean())
 
 
 def bounded(features: Array) -> Array:

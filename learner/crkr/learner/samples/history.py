@@ -14,7 +14,9 @@ from crkr.protocol import KINDS, Array
 __all__ = ["WINDOW", "SuccessTrend", "TrialHistory"]
 
 WINDOW: Final = 200  # trials that "newest" means
-_TRIAL, _FAILED, _EVALUATION = (KINDS.index(kind) for kind in ("trial", "failed", "evaluation"))
+_TRIAL: Final = KINDS.index("trial")
+_TRIED: Final = np.array([kind in {"trial", "failed"} for kind in KINDS])
+_JUDGED: Final = np.array([kind == "evaluation" for kind in KINDS])
 
 
 class SuccessTrend(NamedTuple):
@@ -62,7 +64,7 @@ class TrialHistory:
 
     def newest_tried(self, count: int) -> Indices:
         """Rows of the newest trials, executed or refused, that are not removed; at most `count`, ascending."""
-        return self._newest((_TRIAL, _FAILED), count)
+        return self._newest(_TRIED, count)
 
     def executed(self, rows: Indices) -> NDArray[np.bool_]:
         """Which of these rows are trials whose goal was executed."""
@@ -75,7 +77,7 @@ class TrialHistory:
 
     def trend(self) -> SuccessTrend:
         """Success of the newest trials, of those before, and of the newest evaluations."""
-        tried, judged = self.newest_tried(2 * WINDOW), self._newest((_EVALUATION,), WINDOW)
+        tried, judged = self.newest_tried(2 * WINDOW), self._newest(_JUDGED, WINDOW)
         newest, before = tried[-WINDOW:], tried[:-WINDOW]
         earlier = self._rate(before) if len(before) == WINDOW else None
         return SuccessTrend(len(newest), self._rate(newest), earlier, len(judged), self._rate(judged))
@@ -83,14 +85,14 @@ class TrialHistory:
     def _rate(self, rows: Indices) -> float | None:
         return float(self.successes(rows).mean()) if len(rows) else None
 
-    def _newest(self, kinds: tuple[int, ...], count: int) -> Indices:
-        wanted = np.zeros(len(KINDS), dtype=bool)
-        wanted[list(kinds)] = True
+    def _newest(self, wanted: NDArray[np.bool_], count: int) -> Indices:
+        """Rows of the newest trials of the kinds `wanted`, a table over `KINDS`."""
         found: list[Indices] = []
         missing, end = count, len(self.seqs)
         while missing > 0 and end > 0:
             start = max(0, end - 2 * count)
-            rows = start + np.flatnonzero(wanted[self.kinds[start:end]] & ~self.removed[start:end])
-            found.insert(0, rows[-missing:])
-            missing, end = missing - len(rows), end - 2 * count
-        return np.concatenate(found) if found else np.zeros(0, dtype=np.int64)
+            rows = (wanted[self.kinds[start:end]] & ~self.removed[start:end]).nonzero()[0][-missing:]
+            rows += start
+            found.insert(0, rows)
+            missing, end = missing - len(rows), start
+        return found[0] if len(found) == 1 else np.concatenate([np.zeros(0, dtype=np.int64), *found])

@@ -102,6 +102,14 @@ def test_a_new_skill_is_checked_tested_trained_and_judged_as_it_is_written(
     assert "Python module's" in crkr("new", "Left-Arm", status=1).stderr
 
 
+def test_a_new_skill_hides_no_module_of_python(crkr: Crkr, tmp_path: Path) -> None:
+    for name in ("class", "json", "numpy", "crkr"):
+        assert "choose another" in crkr("new", name, status=1).stderr
+    (tmp_path / "file").touch()
+    assert "cannot be written" in crkr("new", "own_arm", "--in", "file/inside", status=1).stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
 def test_a_changed_specification_begins_anew_with_fresh(crkr: Crkr, tmp_path: Path, shared_endpoint: str) -> None:
     crkr("new", "fresh_arm", "--in", "here")
     run = ("workers", "here/fresh_arm.py:make", "--trials", "5", "--evaluations", "0", "--connect", shared_endpoint)

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import re
+import sys
 from importlib.resources import files
+from importlib.util import find_spec
+from keyword import iskeyword
 from pathlib import Path
 
 from crkr.protocol import Invalid
@@ -21,23 +24,29 @@ def write_skill(name: str, folder: Path) -> list[Path]:
         folder: Where to.
 
     Raises:
-        Invalid: The name cannot be a module's, or a file is there already.
+        Invalid: The name cannot be a module's or is another module's, a file is there already, or none can be written.
     """
     module = name.removesuffix(".py")
     if not re.fullmatch(r"[a-z][a-z0-9_]{0,40}", module) or module.endswith("_"):
         raise Invalid(f"a skill's name is a Python module's, as my_robot: small letters, digits and _; got {name!r}")
+    target = folder.absolute()
     words = module.split("_")
     named = {
         "my_robot": module,
         "my-robot": "-".join(word for word in words if word),
         "MyRobot": "".join(word.capitalize() for word in words),
     }
-    target = folder.absolute()
     made = [target / file.replace("my_robot", module).removesuffix(".txt") for file in _FILES]
     if there := [path for path in made if path.exists()]:
         raise Invalid(f"{there[0]} is there already; choose another name or folder")
-    target.mkdir(parents=True, exist_ok=True)
-    for file, path in zip(_FILES, made, strict=True):
-        text = files(__name__).joinpath(file).read_text(encoding="utf-8")
-        path.write_text(re.sub("|".join(named), lambda found: named[found[0]], text), encoding="utf-8")
+    if iskeyword(module) or module in sys.stdlib_module_names or find_spec(module) is not None:
+        raise Invalid(f"{module!r} is a word or a module of Python already, which the skill would hide; choose another")
+    try:
+        target.mkdir(parents=True, exist_ok=True)
+        for file, path in zip(_FILES, made, strict=True):
+            text = files(__name__).joinpath(file).read_text(encoding="utf-8")
+            with path.open("x", encoding="utf-8") as opened:
+                opened.write(re.sub("|".join(named), lambda found: named[found[0]], text))
+    except OSError as error:
+        raise Invalid(f"{error.filename or target} cannot be written: {error.strerror}") from error
     return made

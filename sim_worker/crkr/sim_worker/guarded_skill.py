@@ -7,7 +7,7 @@ import os
 import sys
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, redirect_stdout, suppress
+from contextlib import AbstractContextManager, contextmanager, nullcontext, redirect_stdout, suppress
 from pathlib import Path
 from typing import Any, Final, NoReturn, final
 from uuid import UUID
@@ -24,6 +24,7 @@ from crkr.sim_worker.skill import (
     HasDemonstrations,
     HasPlanner,
     HasScene,
+    HasStates,
     Skill,
     TrialResult,
     judged_state,
@@ -75,21 +76,24 @@ def one_line(error: BaseException) -> str:
 
 @final
 class GuardedSkill:
-    """A skill whose results are checked; implements `Skill`, `HasDemonstrations`, `HasContexts` and `HasScene`.
+    """A skill whose results are checked; implements `Skill`, and what else of `crkr.sim_worker.skill` a run needs.
 
     An exception of `execute`, or a result that no trial can hold, gives a failed trial with its reason. An exception of
     any other method ends the run with one line.
 
     Args:
         skill: As its user wrote it.
+        within: Given the name of a method of the skill, the block within which it is called.
 
     Raises:
         SkillFault: By each method, for an exception or a bad result of the skill; by `execute` at the tenth failure in
             a row.
     """
 
-    def __init__(self, skill: Skill) -> None:
-        self._skill = skill
+    def __init__(
+        self, skill: Skill, within: Callable[[str], AbstractContextManager[object]] = lambda _: nullcontext()
+    ) -> None:
+        self._skill, self._within = skill, within
         self._name = type(skill).__name__
         self._spec: TaskSpec | None = None
         self._state: Floats | None = None
@@ -100,6 +104,11 @@ class GuardedSkill:
     def can_demonstrate(self) -> bool:
         """Whether the skill has demonstrations."""
         return isinstance(self._skill, HasDemonstrations)
+
+    @property
+    def can_restore(self) -> bool:
+        """Whether the skill can be put into any state."""
+        return isinstance(self._skill, HasStates)
 
     @property
     def lacks(self) -> Sequence[str]:
@@ -129,11 +138,19 @@ class GuardedSkill:
         method = "evaluation_context" if isinstance(self._skill, HasContexts) else "reset"
         return self._put(method, lambda: judged_state(self._skill, number, rng))
 
+    def restore(self, state: Floats) -> None:
+        """Puts a state (d,); raises `SkillFault` where the skill cannot."""
+        if not isinstance(self._skill, HasStates):
+            raise SkillFault(f"{self._name} cannot put a stored state (a method `restore`)")
+        with skill_code(self._fault("restore")), self._within("restore"):
+            self._skill.restore(state)
+        self._state = state
+
     def execute(self, goal: Floats) -> TrialResult:
         """The result of a goal (p,); a fault of the skill gives a failed trial."""
         reasons: list[BaseException] = []
         try:
-            with redirect_stdout(sys.stderr):
+            with redirect_stdout(sys.stderr), self._within("execute"):
                 result = self._checked(self._skill.execute(goal), goal)
         except KeyboardInterrupt:
             raise
@@ -149,7 +166,7 @@ class GuardedSkill:
         """Successful goals; raises `SkillFault` where the skill has no demonstrations."""
         if not isinstance(self._skill, HasDemonstrations):
             raise SkillFault(f"{self._name} has no demonstrations (a method `demonstrations`)")
-        with skill_code(self._fault("demonstrations")):
+        with skill_code(self._fault("demonstrations")), self._within("demonstrations"):
             shown = list(self._skill.demonstrations(count, rng))
             for number, one in enumerate(shown):
                 self._check_demonstration(number, one)
@@ -173,7 +190,7 @@ class GuardedSkill:
 
     def _put(self, method: str, call: Callable[[], Floats]) -> Floats:
         size = len(self._checked_spec.state)
-        with skill_code(self._fault(method)):
+        with skill_code(self._fault(method)), self._within(method):
             self._state = finite_array(call(), "the state", (size,))
         return self._state
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Final, final
 
@@ -16,6 +16,7 @@ import numpy as np
 from crkr.protocol import MAX_TELEMETRY_BYTES, Array, Geom, TaskSpec, pack
 from crkr.sim_worker.guarded_skill import MOST_FAULTS, GuardedSkill, SkillFault
 from crkr.sim_worker.skill import HasScene, Skill, TrialResult
+from crkr.sim_worker.time_limit import time_limit
 from crkr.sim_worker.worker.telemetry import thinned
 
 __all__ = ["Remark", "check", "problems"]
@@ -25,6 +26,7 @@ _STEPS: Final = 12  # pairs of neighbouring goals
 _STEP: Final = 0.01  # of the bounds, between neighbours
 _ROUGH: Final = 0.25  # of an outcome's spread, by which neighbours may differ
 _SHOWN: Final = 3  # demonstrations that are tried again
+_DRAWN: Final = 20  # goals of which one must come with a motion, where there is a scene
 
 
 @final
@@ -51,14 +53,31 @@ def problems(skill: Skill, *, seed: int = 0) -> list[str]:
     return [str(one) for one in check(skill, seed=seed) if one.level == "problem"]
 
 
-def check(skill: Skill, *, seed: int = 0) -> Iterator[Remark]:
+def check(
+    skill: Skill, *, seed: int = 0, timeout_s: float = 60.0, late: Callable[[Remark], None] | None = None
+) -> Iterator[Remark]:
     """Tries a skill with random situations and goals, some 150 trials.
 
     Args:
         skill: What `load_skill` or your factory makes.
         seed: Of the situations and goals.
+        timeout_s: How long a trial, or another call of the skill, may take [s].
+        late: Is told once of a call that takes longer, from another thread. It must end the process, as nothing else
+            ends such a call. None: there is no limit.
     """
-    guarded = GuardedSkill(skill)
+    if late is None:
+        yield from _all(skill, GuardedSkill(skill), seed)
+        return
+
+    def tell(method: str, place: str) -> None:
+        what, where = "a trial" if method == "execute" else "a call", f"; it is at {place}" if place else ""
+        late(Remark("problem", method, f"{what} did not end within {timeout_s:g} s{where}; --timeout allows more"))
+
+    with time_limit(timeout_s, tell) as within:
+        yield from _all(skill, GuardedSkill(skill, within), seed)
+
+
+def _all(skill: Skill, guarded: GuardedSkill, seed: int) -> Iterator[Remark]:
     try:
         spec = guarded.spec()
         yield Remark("ok", "spec", f"{spec.name}: R^{len(spec.state)} -> R^{len(spec.goal)}, {_measures(spec)}")
@@ -232,10 +251,15 @@ def _pictures(skill: Skill, guarded: GuardedSkill, spec: TaskSpec, seed: int) ->
     if not shapes:
         yield Remark("problem", "scene", "cannot be drawn; it must return a list of Geom")
         return
-    guarded.reset(np.random.default_rng((seed, 6)))
-    trace = _tried(guarded, (spec.bounds[0] + spec.bounds[1]) / 2).trace
-    if trace is None:
-        yield Remark("warning", "trace", "none for the goal in the middle: displays show no motion")
+    rng, (low, high) = np.random.default_rng((seed, 6)), spec.bounds
+    trace = None
+    for goal in ((low + high) / 2, *rng.uniform(low, high, (_DRAWN, len(low)))):
+        guarded.reset(rng)
+        trace = _tried(guarded, goal).trace
+        if trace is not None:
+            break
+    else:
+        yield Remark("warning", "trace", f"none for any of {_DRAWN + 1} goals: displays show no motion")
         return
     yield from _bodies(shapes, trace.bodies)
     count = len(trace.time), len(trace.bodies)

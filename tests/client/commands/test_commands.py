@@ -134,6 +134,9 @@ def test_a_prediction_is_printed_by_name_and_as_json(run: Run, task: str) -> Non
     assert answer["trial_id"] == str(UUID(int=5))
     assert len(answer["goal"]) == len(answer["sigma"]) == 2
     assert (answer["policy"], answer["active"]) == ("explore", 1)
+    said = run("predict", task, "--state", "40", "--json")
+    assert said.stderr == "warning: distance is 40, outside its box of 0 to 4 m; goals there are guesses\n"
+    assert data(said)["novelty"] > 0.99
 
 
 def test_a_prediction_says_which_outcome_is_expected_of_the_goal(shared_endpoint: str, run: Run) -> None:
@@ -200,6 +203,7 @@ def test_the_status_is_shown_by_verb_and_probed_by_exit_code(run: Run, task: str
     assert [line.split()[0] for line in shown.splitlines()[:2]] == ["task", "success"]
     assert "no trial yet" in shown
     assert "no workers seen" in shown
+    assert "length-scale of distance" in shown
     assert "protocol" in run("status").stdout
     assert run("status", "--check").stdout == ""
     assert run("status", task, "--check").stdout == ""

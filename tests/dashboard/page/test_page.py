@@ -5,6 +5,7 @@ import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
+from uuid import UUID
 
 import numpy as np
 import pytest
@@ -148,7 +149,7 @@ def test_a_task_without_trials_has_a_page(page: Page, shared_endpoint: str, tmp_
     assert "No training trial yet." in (tmp_path / "empty.html").read_text()
 
 
-def test_a_skill_plays_the_best_and_the_worst_trial(
+def test_a_skill_that_cannot_put_states_plays_fresh_trials(
     page: Page, shared_endpoint: str, browser: Browser, tmp_path: Path
 ) -> None:
     arguments = ["create", "--skill", f"{REACH}:make", "--connect", shared_endpoint]
@@ -165,11 +166,7 @@ def test_a_skill_plays_the_best_and_the_worst_trial(
         )
     file = tmp_path / "reach.html"
     page("reach", "--skill", f"{REACH}:make", "--out", str(file))
-    data = re.search('<script type="application/json" id="film-data">(.*?)</script>', file.read_text())
-    assert data is not None
-    film = json.loads(data[1])
-    assert {"upper", "fore"} <= {shape["body"] for shape in film["scene"]}
-    assert len(film["trials"]) == 2
+    assert len(filmed(file)) == 2
     browser.open(file.as_uri())
     # Somewhere on each canvas a shape is drawn, and the clock goes on.
     painted = (
@@ -183,6 +180,54 @@ def test_a_skill_plays_the_best_and_the_worst_trial(
     browser.run("document.querySelector('[data-play=\"0\"]').click()")
     assert browser.run("document.querySelector('[data-play=\"0\"]').textContent") == "Play"
     assert browser.complaints == []
+
+
+def test_the_film_shows_the_best_and_the_worst_stored_trial_again(
+    page: Page, shared_endpoint: str, browser: Browser, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    arguments = ["new", "thrower", "--in", str(tmp_path)]
+    assert CliRunner().invoke(build(arguments), arguments).exit_code == 0
+    skill = f"{tmp_path}/thrower.py:make"
+    arguments = ["create", "--skill", skill, "--connect", shared_endpoint]
+    assert CliRunner().invoke(build(arguments), arguments).exit_code == 0
+    fields: dict[str, Any] = {"cost": 0.3, "success": True, "outcome": [0.0], "info": {"reason": "as stored"}}
+    trials: list[dict[str, Any]] = [
+        {"state": [2.0], "goal": [4.5, 0.7], "id": UUID(int=1)},
+        {"state": [3.0], "goal": [9.0, 1.2], "id": UUID(int=2), "cost": 0.2},
+        {"state": [2.5], "goal": [1.0, 0.3], "id": UUID(int=3), "cost": 0.9, "success": False},
+        {"state": [2.5], "goal": [1.0, 0.3], "id": UUID(int=4), "cost": 1.0, "success": False},
+        {"state": [2.5], "goal": [1.0, 0.4], "id": UUID(int=5), "cost": None, "success": False, "kind": "failed"},
+    ]
+    with Client(shared_endpoint) as client:
+        task = client.task("thrower")
+        for trial in trials:
+            task.report(**{**fields, **trial, **({"outcome": None} if "kind" in trial else {})}, wait=True)
+        task.remove([UUID(int=4)])
+    file = tmp_path / "thrower.html"
+    page("thrower", "--out", str(file))
+    best, worst = filmed(file)
+    assert best["poses"] != worst["poses"]
+    browser.open(file.as_uri())
+    captions = browser.run("[...document.querySelectorAll('#film figcaption')].map((one) => one.innerText)")
+    assert [re.sub(r"\s+", " ", one) for one in captions] == [
+        "Best trial success number 3 of the log, as stored, cost 0.2, now too far",
+        "Worst trial failure number 4 of the log, as stored, cost 0.9",
+    ]
+    browser.run("document.getElementById('film').scrollIntoView()")  # what nobody sees does not move
+    # A throw at 1 m/s lasts 0.06 s.
+    browser.until("document.querySelector('[data-clock=\"1\"]').textContent.endsWith(' s, 50 times slower')")
+    assert browser.complaints == []
+    data = next(path for path in tmp_path_factory.getbasetemp().iterdir() if path.name.startswith("server"))
+    page("thrower", "--replay", str(data), "--out", str(tmp_path / "stored.html"))
+    assert filmed(tmp_path / "stored.html") == [best, worst]
+
+
+def filmed(file: Path) -> list[dict[str, Any]]:
+    """The trials of a page's film."""
+    data = re.search('<script type="application/json" id="film-data">(.*?)</script>', file.read_text())
+    assert data is not None
+    trials: list[dict[str, Any]] = json.loads(data[1])["trials"]
+    return trials
 
 
 def test_a_skill_of_another_size_is_refused(page: Page, hostile: str, tmp_path: Path) -> None:

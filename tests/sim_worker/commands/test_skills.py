@@ -74,7 +74,9 @@ def crkr(tmp_path: Path) -> Crkr:
 def test_a_new_skill_is_checked_tested_trained_and_judged_as_it_is_written(
     crkr: Crkr, tmp_path: Path, shared_endpoint: str
 ) -> None:
-    assert crkr("new", "left_arm").stdout.count("wrote ") == 3
+    told = crkr("new", "left_arm").stdout
+    assert told.count("wrote ") == 3
+    assert "crkr workers left_arm.py:make" in told
     names = ["left_arm.py", "left_arm.toml", "test_left_arm.py"]
     assert sorted(path.name for path in tmp_path.iterdir()) == names
     text = "".join((tmp_path / name).read_text() for name in names)
@@ -170,6 +172,19 @@ def test_a_problem_is_the_commands_status(crkr: Crkr, tmp_path: Path) -> None:
     done = crkr("check-skill", "broken:make", status=1)
     assert "problem  execute: RuntimeError: motor" in done.stdout
     assert done.stderr.count("\n") <= 3
+
+
+def test_a_trial_that_does_not_end_is_a_problem_and_its_line_is_named(crkr: Crkr, tmp_path: Path) -> None:
+    waits = "import threading; print('waits'); threading.Event().wait()"
+    (tmp_path / "endless.py").write_text(FAULTY.format(**{**FINE, "execute": waits}))
+    line = (tmp_path / "endless.py").read_text().splitlines().index(f"        {waits}") + 1
+    done = crkr("check-skill", "endless:make", "--timeout", "0.2", "--json", status=1)
+    assert json.loads(done.stdout)[-1] == {
+        "level": "problem",
+        "what": "execute",
+        "message": f"a trial did not end within 0.2 s; it is at endless.py, line {line}; --timeout allows more",
+    }
+    assert done.stderr == "waits\n"
 
 
 def test_of_what_a_task_remembers_only_code_of_ones_own_is_loaded(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Annotated
 from uuid import UUID, uuid4
@@ -10,7 +11,7 @@ from uuid import UUID, uuid4
 import typer
 
 from crkr.client import Client
-from crkr.client.cli.console import print_json, print_table, stdout
+from crkr.client.cli.console import print_json, print_table, stderr, stdout
 from crkr.client.cli.options import Connect, Json, Timeout, ZenohConfig, check_count, parse_ids, parse_vector
 from crkr.protocol import Prediction, SampleExplanation, TaskSpec
 
@@ -43,7 +44,7 @@ def predict(
     with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
         handle = client.task(task)
         spec = handle.spec
-        check_count(numbers, "--state", spec.state)
+        _check_state(numbers, spec)
         answer = handle.predict(numbers, explore, trial_ids=ids)
     if as_json:
         print_json(_prediction_data(answer))
@@ -87,7 +88,7 @@ def report(
     identifier = uuid4() if trial_id is None else parse_ids([trial_id])[0]
     with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
         handle = client.task(task)
-        check_count(numbers, "--state", handle.spec.state)
+        _check_state(numbers, handle.spec)
         check_count(aim, "--goal", handle.spec.goal)
         receipt = handle.report(
             state=numbers,
@@ -126,7 +127,7 @@ def explain(
     sample_id = None if sample is None else parse_ids([sample])[0]
     with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
         handle = client.task(task)
-        check_count(numbers, "--state", handle.spec.state)
+        _check_state(numbers, handle.spec)
         answer = handle.explain(numbers, sample_id)
     if as_json:
         print_json(answer)
@@ -140,6 +141,15 @@ def explain(
     stdout.print(f"novelty {answer.novelty:.3f}; distances in length-scales")
     if answer.sample is not None:
         stdout.print(_sentence(answer.sample))
+
+
+def _check_state(state: Sequence[float], spec: TaskSpec) -> None:
+    """Refuse another count of numbers, and warn of numbers outside their box."""
+    check_count(state, "--state", spec.state)
+    for axis, value in zip(spec.state, state, strict=True):
+        if not axis.low <= value <= axis.high:
+            box = f"{axis.low:g} to {axis.high:g}{f' {axis.unit}' if axis.unit else ''}"
+            stderr.print(f"warning: {axis.name} is {value:g}, outside its box of {box}; goals there are guesses")
 
 
 def _prediction_data(answer: Prediction) -> dict[str, object]:

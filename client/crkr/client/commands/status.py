@@ -12,7 +12,7 @@ from crkr.client import Client
 from crkr.client.cli.console import print_json, print_table, stdout
 from crkr.client.cli.options import Connect, Json, Timeout, ZenohConfig
 from crkr.client.tally import wilson_interval
-from crkr.protocol import CrkrError
+from crkr.protocol import CrkrError, TaskSpec
 
 __all__ = ["named_tasks", "status"]
 
@@ -38,6 +38,7 @@ def status(
     try:
         with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
             answer = client.info() if task is None else client.task(task).status()
+            spec = None if task is None or check or as_json else client.task(task).spec
     except CrkrError as error:
         if check:
             raise typer.Exit(1) from error
@@ -46,10 +47,10 @@ def status(
         raise typer.Exit(1 if ended_threads(answer) else 0)
     if as_json:
         print_json(answer)
-    elif task is None:
+    elif spec is None:
         _show_server(answer)
     else:
-        _show_task(answer)
+        _show_task(answer, spec)
 
 
 def _show_server(info: Mapping[str, Any]) -> None:
@@ -74,10 +75,14 @@ def named_tasks(info: Mapping[str, Any]) -> str:
     return f"{listed} and {more} more: crkr tasks" if more > 0 else listed
 
 
-def _show_task(answer: Mapping[str, Any]) -> None:
-    known = ("samples", "eligible", "active", "seq", "model_version", "hyperparameters", "archived")
+def _show_task(answer: Mapping[str, Any], spec: TaskSpec) -> None:
     rows = _learning(answer)
-    rows += [row for name in known if name in answer for row in _rows(name, answer[name])]
+    for name in ("samples", "eligible", "active", "seq", "model_version", "archived"):
+        rows += _rows(name, answer[name]) if name in answer else []
+    kernel = dict(answer.get("hyperparameters") or {})
+    scales = zip(spec.state, kernel.pop("lengthscales", ()), strict=False)
+    rows += [(f"length-scale of {axis.name}", f"{scale:.6g} {axis.unit}".rstrip()) for axis, scale in scales]
+    rows += [row for name in kernel for row in _rows(name.replace("_", " "), kernel[name])]
     if "uptime" in answer:
         rows.append(("server up for", _duration(float(answer["uptime"]))))
     rows += [(name, str(answer[name])) for name in ("fault", "damage") if answer.get(name)]

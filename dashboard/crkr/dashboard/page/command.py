@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import socket
 from pathlib import Path
-from typing import Annotated, Final
+from typing import Annotated
 
 import typer
 
@@ -16,8 +16,6 @@ from crkr.client.cli.stop_request import StopRequest
 
 __all__ = ["page"]
 
-PLAYED: Final = 24  # trials of which the best and the worst are shown
-
 
 def page(
     task: Annotated[str | None, typer.Argument(help="Name of the task, e.g. table-tennis.")] = None,
@@ -27,9 +25,9 @@ def page(
     overwrite: Overwrite = False,
     skill: Annotated[
         str | None,
-        typer.Option(help="Skill that plays trials for the film, as file.py:factory; the task's own unless given."),
+        typer.Option(help="Skill that plays the film, as file.py:factory; the task's own unless given."),
     ] = None,
-    film: Annotated[bool, typer.Option(help="Play trials, and show the best and the worst.")] = True,
+    film: Annotated[bool, typer.Option(help="Play the best and the worst trial again, and show them.")] = True,
     replay: Annotated[
         str | None,
         typer.Option(metavar="DIR|URL", help="Read a server's data directory or database; it may be off."),
@@ -46,8 +44,9 @@ def page(
     """Write one web page about a task: how well it is learned, and where and how it fails.
 
     The page is a single file. It opens without a network and on a phone. Where
-    the task's skill has a scene, it also shows the best and the worst of some
-    trials, which are played for it and not stored.
+    the task's skill has a scene, it also shows the best and the worst stored
+    trial, played again. A skill that cannot put a stored state (`restore`)
+    plays some fresh ones, which are not stored.
 
     Example: crkr page table-tennis --out report.html
     Example: crkr page --serve 127.0.0.1:8080
@@ -59,19 +58,20 @@ def page(
         return
     if task is None:
         raise typer.BadParameter("name a task, or serve all with --serve 127.0.0.1:8080")
-    from crkr.dashboard.page.report import add_film, read_stored, read_task, written
+    from crkr.dashboard.page.played import add_film
+    from crkr.dashboard.page.report import read_stored, read_task, written
 
-    if replay is not None and skill is not None:
-        raise typer.BadParameter("a skill plays by a server's policy; leave out --skill or --replay")
     check_output(out, overwrite=overwrite)
     if replay is not None:
         view = read_stored(replay, task)
+        if film:
+            add_film(view.film, view.extremes, skill, view.figures.spec, None)
     else:
         with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
             asked = client.task(task)
             view = read_task(asked)
             if film:
-                add_film(view, asked, skill, PLAYED)
+                add_film(view.film, view.extremes, skill, asked.spec, lambda state: asked.predict(state).goal)
     with output_file(out, overwrite=overwrite) as partial:
         partial.write_text(written(view), encoding="utf-8")
     stderr.print(f"{out}: {view.figures.progress.trials} training trials of task {task}")

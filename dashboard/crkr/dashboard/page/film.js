@@ -85,7 +85,7 @@
       this.line = gl.createBuffer();
       gl.enable(gl.DEPTH_TEST);
       gl.enable(gl.BLEND);
-      gl.blendFunc(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA);
+      gl.blendFuncSeparate(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA, gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
       this.frame(scene);
     }
     part(geom) {
@@ -107,7 +107,15 @@
         low[i] = Math.min(low[i], value - r);
         high[i] = Math.max(high[i], value + r);
       });
-      for (let i = 0; i < this.poses.length; i += 7) take(this.poses[i], this.poses[i + 1], this.poses[i + 2], 0.05);
+      const { bodies } = this.trial, on = bodies.map((body) => scene.filter((geom) => geom.body === body));
+      for (let i = 0; i < this.poses.length; i += 7) {
+        const [x, y, z, ...turn] = this.poses.slice(i, i + 7);
+        take(x, y, z, 0.05);
+        for (const geom of on[(i / 7) % bodies.length]) {
+          const at = turned(turn, geom.at);
+          take(x + at[0], y + at[1], z + at[2], Math.min(...geom.size.filter((half) => half > 0)));
+        }
+      }
       for (const path of this.paths) for (let i = 0; i < path.length; i += 3) take(path[i], path[i + 1], path[i + 2]);
       const span = Math.max(...high.map((value, i) => value - low[i]), 0.2);
       for (const geom of scene) {
@@ -118,6 +126,19 @@
       this.far = Math.max(0.62 * Math.hypot(...high.map((value, i) => value - low[i])), 0.3) * 1.28;
       const flat = high[2] - low[2] < 0.15 * span;
       [this.around, this.above] = [-1.05, flat ? 1.35 : 0.42];
+      this.fit();
+      const corners = [0, 1, 2, 3, 4, 5, 6, 7].map((place) => [0, 1, 2].map((i) => (place >> i & 1 ? high : low)[i]));
+      for (let tries = 0; tries < 12; tries++) { // perspective makes what is near larger
+        const m = this.view(), at = (p, row) => m[row] * p[0] + m[4 + row] * p[1] + m[8 + row] * p[2] + m[12 + row];
+        if (corners.every((p) => Math.max(Math.abs(at(p, 0)), Math.abs(at(p, 1))) < 0.96 * at(p, 3))) break;
+        this.far *= 1.08;
+      }
+    }
+    fit() {
+      const { canvas } = this, dense = Math.min(devicePixelRatio || 1, 2);
+      const [wide, tall] = [Math.round(canvas.clientWidth * dense), Math.round(canvas.clientHeight * dense)];
+      if (canvas.width !== wide || canvas.height !== tall) [canvas.width, canvas.height] = [wide, tall];
+      return [wide, tall];
     }
     view() {
       const { canvas } = this, aspect = canvas.width / canvas.height, near = this.far * 0.05, deep = this.far * 20;
@@ -155,9 +176,7 @@
       return out;
     }
     draw() {
-      const { gl, canvas, trial } = this, dense = Math.min(devicePixelRatio || 1, 2);
-      const [wide, tall] = [Math.round(canvas.clientWidth * dense), Math.round(canvas.clientHeight * dense)];
-      if (canvas.width !== wide || canvas.height !== tall) [canvas.width, canvas.height] = [wide, tall];
+      const { gl, trial } = this, [wide, tall] = this.fit();
       gl.viewport(0, 0, wide, tall);
       gl.clearColor(0, 0, 0, 0);
       gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
@@ -210,10 +229,11 @@
         continue;
       }
       const [button, seek, shown] = [find("play"), find("seek"), find("clock")];
+      const slower = player.trial.slower > 1 ? `, ${player.trial.slower} times slower` : "";
       const name = () => { button.textContent = player.playing ? "Pause" : "Play"; };
       button.addEventListener("click", () => { player.playing = !player.playing; name(); });
       seek.addEventListener("input", () => { player.playing = false; player.clock = player.end * seek.value / 1000; player.stale = true; name(); });
-      player.told = () => { seek.value = 1000 * player.clock / (player.end || 1); shown.textContent = `${player.clock.toFixed(2)} s`; };
+      player.told = () => { seek.value = 1000 * player.clock / (player.end || 1); shown.textContent = `${player.clock.toFixed(2)} s${slower}`; };
       player.seen = true;
       new IntersectionObserver(([entry]) => { player.seen = entry.isIntersecting; }).observe(canvas);
       let held = null;
@@ -246,7 +266,8 @@
     for (const player of players) {
       const moves = player.playing || player.stale || player.canvas.width !== player.shownWidth;
       if (!player.seen || !moves) continue;
-      if (player.playing) player.clock = player.clock + passed > player.end + 0.8 ? 0 : player.clock + passed;
+      const step = passed / player.trial.slower, pause = 0.8 / player.trial.slower;
+      if (player.playing) player.clock = player.clock + step > player.end + pause ? 0 : player.clock + step;
       const clock = player.clock;
       player.clock = Math.min(clock, player.end);
       player.told();

@@ -6,58 +6,18 @@ import base64
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from importlib.metadata import entry_points
-from typing import Any, Final, Protocol, final
+from typing import Any, Final, final
 
 import numpy as np
 
 from crkr.dashboard.page.markup import Element, card, number, tag
-from crkr.protocol import Geom, Trace, Unsupported, printable
+from crkr.protocol import Geom, Trace, printable
 
-__all__ = ["Film", "PlayedTrial", "Shown", "captioned", "play"]
+__all__ = ["Film", "Shown"]
 
-GROUP: Final = "crkr.films"
-"""Group of entry points; `skill` is called with a skill's name or None, a task, and how many trials to play."""
-
+SHORTEST_S: Final = 1.5  # of a motion on the screen; shorter ones are slowed down
+SLOWER: Final = (1, 2, 5, 10, 20, 50)
 RANGE_S: Final = 120.0  # a newer trial takes the place of one this much older, so that a live film stays of today
-
-
-class PlayedTrial(Protocol):
-    """A trial that was played to be shown; nothing of it is stored."""
-
-    @property
-    def cost(self) -> float | None:
-        """In [0, 1], or None."""
-        ...
-
-    @property
-    def success(self) -> bool:
-        """Whether it did what was wanted."""
-        ...
-
-    @property
-    def reason(self) -> str:
-        """How it ended."""
-        ...
-
-    @property
-    def trace(self) -> Trace | None:
-        """How things moved."""
-        ...
-
-
-def play(skill: str | None, task: Any, count: int) -> tuple[Sequence[Geom], Sequence[PlayedTrial]]:
-    """Play trials of a task's policy by a skill; None is the one that the task says it is for, if it is installed.
-
-    Raises:
-        Unsupported: No installed package plays skills.
-        Invalid: There is no such skill, or it does not fit the task.
-    """
-    found = list(entry_points(group=GROUP, name="skill"))
-    if not found:
-        raise Unsupported("nothing that is installed plays skills: pip install 'crkr[sim]'")
-    scene, trials = found[0].load()(skill, task, count)
-    return scene, trials
 
 
 @final
@@ -124,7 +84,8 @@ class Film:
         data = json.dumps({"scene": [_shape(geom) for geom in self.scene], "trials": [_motion(s) for _, s in two]})
         script = tag("script", type="application/json", id="film-data")
         script.text = data.replace("<", "\\u003c")
-        note = "In real time. Drag to turn; scroll with Ctrl to come nearer."
+        pace = "In real time" if all(_slower(s) == 1 for _, s in two) else "Short motions are slowed down"
+        note = f"{pace}. Drag to turn; scroll with Ctrl to come nearer."
         made = card("film", "Film", tag("div", *players, klass="players"), script, note=note)
         made.set("data-version", str(self.version))
         return made
@@ -136,6 +97,12 @@ def _is_due(shown: Shown | None, now: float) -> bool:
 
 def _rank(shown: Shown) -> tuple[bool, float]:
     return not shown.success, shown.cost
+
+
+def _slower(shown: Shown) -> int:
+    """How many times slower it is shown than it was."""
+    lasts = float(shown.trace.time[-1] - shown.trace.time[0])
+    return next((times for times in SLOWER if times * lasts >= SHORTEST_S), SLOWER[-1])
 
 
 def _player(place: int, title: str, shown: Shown) -> Element:
@@ -153,12 +120,6 @@ def _player(place: int, title: str, shown: Shown) -> Element:
             klass="controls",
         ),
     )
-
-
-def captioned(trial: PlayedTrial) -> str:
-    """What a played trial was, in a line."""
-    cost = "" if trial.cost is None else f", cost {number(trial.cost, 2)}"
-    return f"{trial.reason}{cost}"
 
 
 def _shape(geom: Geom) -> dict[str, Any]:
@@ -182,6 +143,7 @@ def _motion(shown: Shown) -> dict[str, Any]:
         "poses": _packed(poses),
         "paths": paths,
         "good": shown.success,
+        "slower": _slower(shown),
     }
 
 

@@ -158,7 +158,9 @@ def state_map(axes: tuple[StateDimension, StateDimension], states: Floats, succe
         drawn.append(tag("text", number(value), x=LEFT - 6, y=frame.down(value) + 4, text_anchor="end"))
     named = label(across.name, across.unit), label(up.name, up.unit)
     drawn.append(tag("text", f"{named[0]} \u2192", x=width - RIGHT, y=height - 4, text_anchor="end", klass="axis"))
-    drawn.append(tag("text", f"\u2191 {named[1]}", x=LEFT + 6, y=TOP + 14, klass="axis over"))
+    middle = (TOP + base) / 2
+    turned = {"transform": f"rotate(-90 12 {middle})", "text_anchor": "middle"}
+    drawn.append(tag("text", f"{named[1]} \u2192", x=12, y=middle, klass="axis", **turned))
     return frame.drawing(f"success over {across.name} and {up.name}", *drawn, klass="map")
 
 

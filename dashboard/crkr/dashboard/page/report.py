@@ -1,8 +1,7 @@
-"""A page that stays as it is: a task read to its end, with a film where a skill can play it."""
+"""A page that stays as it is: a task read to its end."""
 
 from __future__ import annotations
 
-import logging
 import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
@@ -12,17 +11,13 @@ from crkr.client import Task
 from crkr.client.cli.console import stderr
 from crkr.client.cli.progress import Progress as ProgressBar
 from crkr.dashboard.page.document import document
-from crkr.dashboard.page.film import captioned, play
 from crkr.dashboard.page.markup import number
 from crkr.dashboard.page.tables import stamp
 from crkr.dashboard.page.view import PageView
 from crkr.dashboard.progress import Progress
 from crkr.dashboard.stored_session import open_run, replay
-from crkr.protocol import CrkrError
 
-__all__ = ["add_film", "read_stored", "read_task", "written"]
-
-logger = logging.getLogger(__name__)
+__all__ = ["read_stored", "read_task", "written"]
 
 PAGE: Final = 1000  # trials in one answer
 
@@ -67,32 +62,6 @@ def read_stored(data: str, task: str) -> PageView:
         with ProgressBar(stderr, f"reading {task}", run.last, "log entries") as bar:
             replay(run, view, lambda: True, bar.show, progress)
     return view
-
-
-def add_film(view: PageView, task: Task, skill: str | None, count: int) -> None:
-    """Play trials by a skill for the film; without a scene or motions there is none.
-
-    Args:
-        view: The page.
-        task: Whose policy is asked.
-        skill: Its name; None is the one that the task says it is for. Where that cannot play, the page has no film.
-        count: Of trials.
-
-    Raises:
-        Unsupported: No installed package plays skills.
-        Invalid: There is no such skill, or it does not fit the task.
-    """
-    try:
-        scene, trials = play(skill, task, count)
-    except (CrkrError, ModuleNotFoundError) as error:
-        if skill is not None:
-            raise
-        logger.info("no film: %s", error)
-        return
-    view.film.show(scene)
-    for trial in trials:
-        if trial.trace is not None:
-            view.film.add(captioned(trial), trial.success, trial.cost, 0.0, trial.trace)
 
 
 def written(view: PageView) -> str:

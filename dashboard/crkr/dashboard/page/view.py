@@ -10,6 +10,7 @@ from crkr.dashboard.page import sections, tables
 from crkr.dashboard.page.figures import Figures
 from crkr.dashboard.page.film import Film
 from crkr.dashboard.page.markup import Element, number, tag
+from crkr.dashboard.page.played import Extremes
 from crkr.dashboard.progress import EpochResult, Progress, Row
 from crkr.dashboard.status_facts import server_time
 from crkr.dashboard.telemetry import Telemetry
@@ -33,11 +34,12 @@ class PageView:
     Attributes:
         figures: What is shown of the trials.
         film: The best and the worst of those that came with a motion.
+        extremes: The best and the worst of the log, where the page does not follow the run.
     """
 
     def __init__(self, spec: TaskSpec, progress: Progress, *, live: bool = False) -> None:
         self.figures = Figures(spec, progress)
-        self.film = Film()
+        self.film, self.extremes = Film(), Extremes()
         self._live = live
         self._answered = time.monotonic()
         self._status: Mapping[str, Any] = {}
@@ -51,6 +53,8 @@ class PageView:
         """Count trials."""
         del progress  # Unused: the figures have it.
         self.figures.add(rows)
+        if not self._live:
+            self.extremes.add(rows)
 
     def picture(self, row: Row, telemetry: Telemetry) -> None:
         """Consider a trial for the film."""

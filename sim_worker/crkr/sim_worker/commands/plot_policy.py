@@ -15,7 +15,9 @@ __all__ = ["policy"]
 
 def policy(
     task: Annotated[str, typer.Argument(help="Name of the task.")],
-    vary: Annotated[str, typer.Option(help="State coordinate to vary, e.g. ball_y.")],
+    vary: Annotated[
+        str | None, typer.Option(help="State coordinate to vary, e.g. ball_y; the first unless given.")
+    ] = None,
     skill: Annotated[
         str | None,
         typer.Option(help="Skill that draws its goals, or package.module:factory; the task's own unless given."),
@@ -46,6 +48,7 @@ def policy(
     check_figure(out, overwrite=overwrite)
     with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
         asked = client.task(task)
+        vary = vary or asked.spec.state[0].name
         index, states = varied(asked.spec, vary, points, None if state is None else parse_vector(state, "--state"))
         answer = asked.predict(states)
     name = skill or skill_of(asked.spec)

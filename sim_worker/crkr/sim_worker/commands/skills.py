@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import sys
+from contextlib import redirect_stdout
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
@@ -22,15 +25,22 @@ def new(
 
     Example: crkr new my_robot
     """
-    from crkr.sim_worker.skill_template import write_skill
+    from crkr.sim_worker.skill_template import task_name, write_skill
 
     files = write_skill(name, folder)
     for path in files:
         stdout.print(f"wrote {path}")
     skill = files[0].relative_to(Path.cwd()) if files[0].is_relative_to(Path.cwd()) else files[0]
-    stdout.print(
-        f"try it: crkr check-skill {skill}:make; learn: crkr server, and crkr workers {skill}:make --trials 300"
-    )
+    task = task_name(files[0].stem)
+    stdout.print("then:")
+    for command in (
+        f"crkr check-skill {skill}:make",
+        "crkr server  # in another terminal",
+        f"crkr workers {skill}:make -n 2 --trials 300",
+        f"crkr evaluate {task}",
+        f"crkr page {task} --out report.html",
+    ):
+        stdout.print(f"  {command}")
 
 
 def check_skill(
@@ -38,6 +48,7 @@ def check_skill(
     seed: Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Of the situations and goals.")] = 0,
     environment: Annotated[str | None, typer.Option(help="Simulator, e.g. contact.")] = None,
     launcher: Annotated[str | None, typer.Option(help="Where contexts come from, e.g. nominal.")] = None,
+    timeout: Annotated[float, typer.Option(min=0.1, metavar="SECONDS", help="How long a trial may take.")] = 60.0,
     json: Json = False,
 ) -> None:
     """Try a skill without a server: shapes, ranges, repeatability, smoothness of outcomes, what an exception does.
@@ -47,14 +58,27 @@ def check_skill(
     Example: crkr check-skill my_robot:make
     """
     from crkr.sim_worker.skill import SkillOptions
-    from crkr.sim_worker.skill_check import check
+    from crkr.sim_worker.skill_check import Remark, check
     from crkr.sim_worker.skill_registry import load_skill
 
-    remarks = []
-    for remark in check(load_skill(skill, SkillOptions(environment=environment, launcher=launcher)), seed=seed):
+    remarks, output = [], sys.stdout
+
+    def note(remark: Remark) -> None:
         remarks.append(remark)
         if not json:
             stdout.print(str(remark))
+
+    def late(remark: Remark) -> None:
+        with redirect_stdout(output):  # what the skill prints goes elsewhere
+            note(remark)
+            if json:
+                print_json([asdict(one) for one in remarks])
+            output.flush()
+        os._exit(1)  # nothing else ends a call that does not end
+
+    tried = load_skill(skill, SkillOptions(environment=environment, launcher=launcher))
+    for remark in check(tried, seed=seed, timeout_s=timeout, late=late):
+        note(remark)
     if json:
         print_json([asdict(remark) for remark in remarks])
     if any(remark.level == "problem" for remark in remarks):

@@ -11,9 +11,14 @@ from pathlib import Path
 
 from crkr.protocol import Invalid
 
-__all__ = ["write_skill"]
+__all__ = ["task_name", "write_skill"]
 
 _FILES = ("my_robot.py", "my_robot.toml", "test_my_robot.py.txt")  # the last is no test of this package
+
+
+def task_name(module: str) -> str:
+    """Name of the task of a skill in that module, as my-robot."""
+    return "-".join(word for word in module.split("_") if word)
 
 
 def write_skill(name: str, folder: Path) -> list[Path]:
@@ -33,7 +38,7 @@ def write_skill(name: str, folder: Path) -> list[Path]:
     words = module.split("_")
     named = {
         "my_robot": module,
-        "my-robot": "-".join(word for word in words if word),
+        "my-robot": task_name(module),
         "MyRobot": "".join(word.capitalize() for word in words),
     }
     made = [target / file.replace("my_robot", module).removesuffix(".txt") for file in _FILES]

@@ -12,7 +12,6 @@ from typing import Final
 from uuid import UUID
 
 import numpy as np
-from scipy.stats import qmc
 
 from crkr.learner.exploration.draws import uniforms
 from crkr.protocol import Array
@@ -32,6 +31,8 @@ def space_filling(seed: int, ids: Sequence[UUID], tried: int, low: Array, high: 
         low: (p,) lowest goals allowed.
         high: (p,) highest goals allowed.
     """
+    from scipy.stats import qmc  # takes longer to load than all else that a server needs; few tasks ask for it
+
     b, p, first = len(ids), len(low), tried % _MOST
     sequence = qmc.Halton(p, scramble=True, rng=np.random.default_rng(seed % 2**64))
     points = sequence.fast_forward(first).random(b)

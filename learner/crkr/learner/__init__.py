@@ -8,12 +8,11 @@ from __future__ import annotations
 
 from crkr.learner.advice import Advice, advise
 from crkr.learner.cost import noise_variances, saturated_cost
-from crkr.learner.evidence import FitProblem, FitResult, fit, log_evidence
+from crkr.learner.evidence import FitProblem, FitResult, check_fit, fit, log_evidence
 from crkr.learner.exploration.draws import draw_ids, truncated_normal, uniforms
 from crkr.learner.exploration.explorer import Choice, Explorer, GaussianExplorer
 from crkr.learner.exploration.outcome_explorer import OutcomeExplorer
 from crkr.learner.kernel import Kernel
-from crkr.learner.knowledge import check_fit
 from crkr.learner.learner import SELECTORS, Learner
 from crkr.learner.model import Model
 from crkr.learner.parameters import Parameters

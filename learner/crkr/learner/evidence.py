@@ -17,14 +17,14 @@ from typing import Final, final
 
 import numpy as np
 from scipy.linalg import lapack
-from scipy.optimize import minimize
 
 from crkr.learner.cost import noise_variances
 from crkr.learner.kernel import squared_distances
 from crkr.learner.model import Model
-from crkr.protocol import Array, NoSamples
+from crkr.protocol import Array, Invalid, NoSamples, TaskSpec
+from crkr.protocol.checks import finite_array, number
 
-__all__ = ["FitProblem", "FitResult", "fit", "log_evidence"]
+__all__ = ["FitProblem", "FitResult", "check_fit", "fit", "log_evidence"]
 
 _LENGTHSCALE_RANGE: Final = (0.05, 20.0)  # times those of the task's creation
 _VARIANCE_RANGE: Final = (1e-3, 1e3)
@@ -157,6 +157,8 @@ def fit(problem: FitProblem) -> FitResult:
 
     Deterministic; takes tens of factorisations of an (m, m) matrix.
     """
+    from scipy.optimize import minimize  # a server fits in another process, and does not need it
+
     log_reference, log_variance = np.log(problem.reference), np.log(problem.signal_variance)
     low = np.append(log_reference + np.log(_LENGTHSCALE_RANGE[0]), np.log(_VARIANCE_RANGE[0]))
     high = np.append(log_reference + np.log(_LENGTHSCALE_RANGE[1]), np.log(_VARIANCE_RANGE[1]))
@@ -184,3 +186,16 @@ def fit(problem: FitProblem) -> FitResult:
     lengthscales = np.exp(found.x[:-1])
     lengthscales.setflags(write=False)
     return FitResult(True, lengthscales, float(np.exp(found.x[-1])), before, after)
+
+
+def check_fit(spec: TaskSpec, lengthscales: object, signal_variance: object) -> tuple[Array, float]:
+    """Numbers of a fit, as a task of this specification takes them; what is logged must pass first.
+
+    Raises:
+        Invalid: Numbers that are not finite and positive, or not d of them.
+    """
+    fitted = finite_array(lengthscales, "lengthscales", (len(spec.state),))
+    variance = number(signal_variance, "signal_variance", above=0.0)
+    if (fitted <= 0).any():
+        raise Invalid(f"lengthscales must be positive; got {fitted.tolist()}")
+    return fitted, variance

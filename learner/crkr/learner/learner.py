@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
 from typing import Any, Final, final
 from uuid import UUID
 
 import numpy as np
 
 from crkr.learner.advice import Advice, advise
-from crkr.learner.evidence import FitProblem, FitResult, fit
+from crkr.learner.evidence import FitProblem, FitResult, check_fit, fit
 from crkr.learner.explanation import explain
 from crkr.learner.exploration.draws import draw_ids
 from crkr.learner.exploration.outcome_learner import Drift
-from crkr.learner.knowledge import Knowledge
+from crkr.learner.learned_trials import LearnedTrials
 from crkr.learner.model import Model
+from crkr.learner.model_builder import ModelBuilder
 from crkr.learner.samples.columns import TrialColumns
 from crkr.learner.samples.history import TrialHistory
 from crkr.learner.samples.report_review import Review, review
@@ -25,10 +27,9 @@ from crkr.learner.selection.first_come import FirstCome
 from crkr.learner.selection.selector import SelectorFactory
 from crkr.protocol import (
     Explanation,
-    NoSamples,
+    Invalid,
     Prediction,
     Receipt,
-    SampleExplanation,
     TaskSpec,
     Trial,
     TrialFields,
@@ -37,6 +38,7 @@ from crkr.protocol import (
     id_from_wire,
     make_trials,
 )
+from crkr.protocol.checks import cost_number, finite_array
 from crkr.protocol.earlier_python import Unpack
 
 __all__ = ["SELECTORS", "Learner"]
@@ -60,6 +62,10 @@ class Learner:
 
     Raises:
         Unsupported: The task asks for something that is not built here.
+
+    Attributes:
+        spec: The specification in force: the one of creation with the changes since.
+        version: Log position of the last event applied.
     """
 
     def __init__(self, spec: TaskSpec, *, selector: SelectorFactory | None = None) -> None:
@@ -68,23 +74,16 @@ class Learner:
                 f"selector {spec.selector!r} is not offered; these are: {', '.join(SELECTORS)}",
                 details={"field": "selector"},
             )
-        self._told = Knowledge(spec, selector or SELECTORS[spec.selector])
+        self.spec = self._created = spec
+        self.version = 1
         self._asked = 0
-
-    @property
-    def spec(self) -> TaskSpec:
-        """The specification in force: the one of creation with the changes since."""
-        return self._told.spec
-
-    @property
-    def version(self) -> int:
-        """Log position of the last event applied."""
-        return self._told.version
+        self._trials = LearnedTrials(spec, selector or SELECTORS[spec.selector])
+        self._builder = ModelBuilder(spec, self._trials)
 
     @property
     def model(self) -> Model:
         """The present policy, an immutable snapshot that other threads may use."""
-        return self._told.model
+        return self._builder.model
 
     @property
     def active_ids(self) -> list[UUID]:
@@ -94,7 +93,7 @@ class Learner:
     @property
     def history(self) -> TrialHistory:
         """All trials of this moment, which other threads may read."""
-        return self._told.store.history()
+        return self._trials.store.history()
 
     @property
     def advice(self) -> list[Advice]:
@@ -102,14 +101,25 @@ class Learner:
         return advise(self.spec, self.history, self.drift, self.eligible, self.model.active)
 
     @property
-    def counts(self) -> dict[str, int]:
-        """How many trials of each kind are stored."""
-        return self._told.store.counts()
-
-    @property
     def eligible(self) -> int:
         """How many trials may be learned from."""
-        return self._told.eligible_count
+        return self._trials.eligible
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """How many trials of each kind are stored."""
+        return self._trials.store.counts()
+
+    @property
+    def drift(self) -> Drift | None:
+        """How far outcomes are from what was expected of them; None where no outcome is modelled."""
+        return None if self._trials.outcomes is None else self._trials.outcomes.drift
+
+    @property
+    def refit_due(self) -> bool:
+        """Whether `refit_every` eligible trials came since the last fit began, and enough are active to fit to."""
+        every = self.spec.refit_every
+        return 0 < every <= self._trials.since_fit and self.model.active >= _FEWEST_TO_FIT
 
     def predict(
         self, states: object, explore: bool = False, trial_ids: Sequence[UUID | bytes] | UUID | bytes | None = None
@@ -121,9 +131,8 @@ class Learner:
         """
         if trial_ids is None:
             checked = check_states(states, len(self.spec.state))
-            count = 1 if checked.ndim == 1 else len(checked)
-            ids = draw_ids(f"crkr/{self.spec.name}/predict/{self.version}/{self._asked}", count)
-            answer = self.model.answer(checked, explore, ids)
+            key = f"crkr/{self.spec.name}/predict/{self.version}/{self._asked}"
+            answer = self.model.answer(checked, explore, draw_ids(key, len(np.atleast_2d(checked))))
         else:
             answer = self.model.predict(states, explore, trial_ids)
         self._asked += 1
@@ -156,26 +165,18 @@ class Learner:
 
     def review(self, trials: Sequence[Trial]) -> Review:
         """Which of these trials are new, without storing them; raises `Conflict` as `report` would."""
-        return review(self._told.store, trials)
+        return review(self._trials.store, trials)
 
     def recost(self, ids: Sequence[UUID | bytes], costs: object) -> int:
-        """Changes the costs of trials that turned out better or worse; returns how many changed.
-
-        Raises:
-            Invalid: An unknown or repeated id, a cost outside [0, 1].
-        """
+        """Changes the costs of trials; see `apply_recost`."""
         return self.apply_recost(self.version + 1, ids, costs)
 
     def remove(self, ids: Sequence[UUID | bytes]) -> int:
-        """Takes trials out of learning for good; returns how many were still in.
-
-        Raises:
-            Invalid: An unknown or repeated id.
-        """
+        """Takes trials out of learning for good; see `apply_remove`."""
         return self.apply_remove(self.version + 1, ids)
 
     def configure(self, changes: Mapping[str, Any]) -> TaskSpec:
-        """Changes settings; returns the specification in force. Raises `Invalid` as `TaskSpec.with_changes` does."""
+        """Changes settings; see `apply_configure`."""
         return self.apply_configure(self.version + 1, changes)
 
     def refit(self) -> FitResult:
@@ -189,22 +190,15 @@ class Learner:
             self.apply_fit(self.version + 1, result.lengthscales, result.signal_variance)
         return result
 
-    @property
-    def refit_due(self) -> bool:
-        """Whether `refit_every` eligible trials came since the last fit began, and enough are active to fit to."""
-        every = self.spec.refit_every
-        return 0 < every <= self._told.since_fit and self.model.active >= _FEWEST_TO_FIT
-
     def begin_fit(self) -> FitProblem:
         """What `fit` needs, as plain data that another process can work on; counts as the fit that was due.
 
         Raises:
             NoSamples: No sample is active.
         """
-        if self.model.regression is None:
-            raise NoSamples(f"task {self.spec.name!r} has no active sample to fit to")
-        self._told.since_fit = 0
-        return FitProblem.of(self.model, self._told.created.lengthscales)
+        problem = FitProblem.of(self.model, self._created.lengthscales)
+        self._trials.since_fit = 0
+        return problem
 
     def explain(self, state: object, sample_id: UUID | bytes | None = None) -> Explanation:
         """The samples behind the mean at a state (d,), and where one sample stands.
@@ -213,17 +207,7 @@ class Learner:
             Invalid: The state has another shape or is not finite; an unknown sample id.
             NoSamples: No sample is active.
         """
-        sample = None
-        if sample_id is not None:
-            [row] = self._told.store.rows_of([id_from_wire(sample_id, "sample_id")])
-            suppressor, radius = self._told.selection.standing(row)
-            sample = SampleExplanation(
-                id=self._told.store.ids(np.array([row]))[0],
-                active=bool((self._told.selection.active == row).any()),
-                eligible=bool(self._told.store.eligible(np.array([row]), self.spec.learn_from)[0]),
-                suppressor=None if suppressor is None else self._told.store.ids(np.array([suppressor]))[0],
-                radius=radius,
-            )
+        sample = None if sample_id is None else self._trials.explain(id_from_wire(sample_id, "sample_id"))
         return explain(self.model, self.history, state, sample)
 
     def apply_trials(self, seqs: Sequence[int], trials: Sequence[Trial]) -> None:
@@ -233,7 +217,10 @@ class Learner:
             Invalid: Positions that do not ascend from the version on.
             Conflict: An id that is stored already, or comes twice.
         """
-        self._told.apply_trials(seqs, trials)
+        if not trials:
+            return
+        self._check_seqs(seqs, len(trials))
+        self._advance(seqs[-1], changed=self._trials.append(seqs, trials))
 
     def apply_columns(self, columns: TrialColumns) -> None:
         """Applies many trials within `bulk`, ten times quicker than `apply_trials`.
@@ -242,36 +229,69 @@ class Learner:
             Invalid: Positions that do not ascend from the version on; outside of `bulk`.
             Conflict: An id that is stored already, or comes twice; the learner is of no use then.
         """
-        self._told.apply_columns(columns)
+        if not self._trials.deferred:
+            raise Invalid("columns are applied in bulk only; use apply_trials")
+        if len(columns) == 0:
+            return
+        if (np.diff(columns.seqs, prepend=self.version) <= 0).any():
+            raise Invalid(f"seqs must ascend from above {self.version}; got {columns.seqs[:5].tolist()}")
+        self._trials.extend(columns)
+        self.version = int(columns.seqs[-1])
 
     def apply_recost(self, seq: int, ids: Sequence[UUID | bytes], costs: object) -> int:
-        """Applies a change of costs at log position `seq`; see `recost`."""
-        return self._told.apply_recost(seq, ids, costs)
+        """Applies new costs of trials at log position `seq`; returns how many differ from before.
+
+        Raises:
+            Invalid: An unknown or repeated id, a cost outside [0, 1], not one cost an id.
+        """
+        rows = self._rows_of(seq, ids)
+        checked = finite_array(costs, "costs", (len(rows),)).tolist()
+        changed = self._trials.recost(rows, [cost_number(cost, "cost") for cost in checked])
+        self._advance(seq, changed=any(map(self._builder.holds, changed)))
+        return len(changed)
 
     def apply_remove(self, seq: int, ids: Sequence[UUID | bytes]) -> int:
-        """Applies a removal at log position `seq`; see `remove`."""
-        return self._told.apply_remove(seq, ids)
-
-    def apply_amend(self, seq: int, ids: Sequence[UUID | bytes], values: Sequence[Mapping[str, Any]]) -> int:
-        """Applies other values of trials at log position `seq`; returns how many trials there are.
-
-        Args:
-            seq: Log position.
-            ids: The trials.
-            values: For each its `cost`, `success`, `learn`, `kind`, `outcome` and `removed` from now on.
+        """Takes trials out of learning for good at log position `seq`; returns how many were still in.
 
         Raises:
             Invalid: An unknown or repeated id.
         """
-        return self._told.apply_amend(seq, ids, values)
+        rows = [row for row in self._rows_of(seq, ids) if not self._trials.store.removed[row]]
+        self._advance(seq, changed=self._trials.remove(rows))
+        return len(rows)
+
+    def apply_amend(self, seq: int, ids: Sequence[UUID | bytes], values: Sequence[Mapping[str, Any]]) -> int:
+        """Applies other values of trials at log position `seq`; returns how many trials there are.
+
+        `values` hold for each trial its `cost`, `success`, `learn`, `kind`, `outcome` and `removed` from now on.
+
+        Raises:
+            Invalid: An unknown or repeated id.
+        """
+        rows = self._rows_of(seq, ids)
+        self._trials.amend(np.array(rows, dtype=np.int64), values)
+        self._advance(seq, changed=True)
+        return len(rows)
 
     def apply_configure(self, seq: int, changes: Mapping[str, Any]) -> TaskSpec:
-        """Applies new settings at log position `seq`; see `configure`. Fitted numbers stay where none are given."""
-        return self._told.apply_configure(seq, changes)
+        """Applies new settings at log position `seq`; fitted numbers stay unless given. The specification in force.
+
+        Raises:
+            Invalid: A field that may not change, or a bad value; see `TaskSpec.with_changes`.
+        """
+        spec = self.spec.with_changes(changes)
+        self._check_seqs([seq], 1)
+        self.spec = spec
+        self._builder.configure(spec, changes)
+        self._trials.configure(spec)
+        self._advance(seq, changed=True)
+        return spec
 
     def apply_rename(self, seq: int, name: str) -> None:
-        """Applies another name of the task at log position `seq`."""
-        self._told.apply_rename(seq, name)
+        """Applies another name of the task at log position `seq`, which changes nothing else."""
+        self._check_seqs([seq], 1)
+        self.spec = replace(self.spec, name=name)
+        self._advance(seq)
 
     def apply_fit(self, seq: int, lengthscales: object, signal_variance: object) -> None:
         """Applies fitted hyper-parameters at log position `seq`; the selection's length-scales stay.
@@ -279,26 +299,52 @@ class Learner:
         Raises:
             Invalid: Numbers that are not positive, or not d of them.
         """
-        self._told.apply_fit(seq, lengthscales, signal_variance)
+        fitted, variance = check_fit(self.spec, lengthscales, signal_variance)
+        self._check_seqs([seq], 1)
+        self._builder.set_kernel(self.spec, fitted, variance)
+        self._trials.since_fit = 0
+        self._advance(seq, changed=True)
 
     def apply_restart(self, seq: int) -> None:
-        """Applies a restart of the outcome model at log position `seq`, as after a change of the robot."""
-        self._told.apply_restart(seq)
+        """Restarts the outcome model at log position `seq` from the newest trials: the robot has changed."""
+        self._check_seqs([seq], 1)
+        self._trials.restart(seq)
+        self._advance(seq)
 
-    @property
-    def drift(self) -> Drift | None:
-        """How far outcomes are from what was expected of them; None where no outcome is modelled."""
-        return self._told.drift
-
-    def bulk(self, cache: RadiiCache | None = None) -> AbstractContextManager[None]:
+    @contextmanager
+    def bulk(self, cache: RadiiCache | None = None) -> Iterator[None]:
         """A block in which events are only taken note of; the active set and the model are made once, at its end.
 
         Args:
             cache: Radii at the log position where the block ends; without them they are searched for, in about
                 n log n. Ones of another position are ignored.
         """
-        return self._told.bulk(cache)
+        self._trials.deferred = True
+        try:
+            yield
+        finally:
+            self._trials.rebuild(cache if cache is not None and cache.version == self.version else None)
+            self._advance(self.version, changed=True)
 
     def radii(self) -> RadiiCache | None:
         """What makes the next `bulk` quick, where the selector has such a thing."""
-        return self._told.selection.cache(self.version)
+        return self._trials.selection.cache(self.version)
+
+    def _advance(self, seq: int, *, changed: bool = False) -> None:
+        """Takes a log position for done, and makes its model."""
+        self.version = seq
+        if not self._trials.deferred:
+            self._builder.update(self.spec, seq, changed=changed)
+
+    def _rows_of(self, seq: int, ids: Sequence[UUID | bytes]) -> list[int]:
+        checked = [id_from_wire(value, "ids") for value in ids]
+        if len(set(checked)) != len(checked):
+            raise Invalid("ids must differ; one comes twice")
+        rows = self._trials.store.rows_of(checked)
+        self._check_seqs([seq], 1)
+        return rows
+
+    def _check_seqs(self, seqs: Sequence[int], count: int) -> None:
+        ascending = all(later > earlier for earlier, later in zip([self.version, *seqs], seqs, strict=False))
+        if len(seqs) != count or not ascending:
+            raise Invalid(f"seqs must be {count} ascending numbers above {self.version}; got {list(seqs)[:5]}")

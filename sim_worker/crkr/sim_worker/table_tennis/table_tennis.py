@@ -10,15 +10,14 @@ from typing import Any, Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from crkr.protocol import Geom, Invalid, TaskSpec
+from crkr.protocol import Geom, Invalid
+from crkr.sim_worker.arm.arm_skill import ArmSkill, RefusedGoal, choice
 from crkr.sim_worker.arm.collision import MARGIN
-from crkr.sim_worker.arm.dynamics import ACCELERATION_LIMITS, SPEED_LIMITS
-from crkr.sim_worker.primitives.joint_motion import spare_time
 from crkr.sim_worker.primitives.profiles import demonstrated_profile, wind_up
-from crkr.sim_worker.primitives.stroke import Infeasible, JointLimits, JointTrajectory, Primitive
+from crkr.sim_worker.primitives.stroke import JointTrajectory, Primitive
 from crkr.sim_worker.simulation.motion import trace
 from crkr.sim_worker.simulation.simulation import Diverged
-from crkr.sim_worker.skill import Demonstration, Film, SkillOptions, TrialResult
+from crkr.sim_worker.skill import Film, SkillOptions, TrialResult
 from crkr.sim_worker.table_tennis.ball.constants import FACE_OFFSET
 from crkr.sim_worker.table_tennis.ball.launchers import LAUNCHERS, Launcher
 from crkr.sim_worker.table_tennis.environments.environments import ENVIRONMENTS, make_environment, make_predictor
@@ -33,16 +32,13 @@ __all__ = ["ENVIRONMENTS", "TableTennis"]
 Floats = NDArray[np.float64]
 
 CRITERIA: Final = {"tuned": "strict", "paper": "paper"}  # the success that each preset learns from
-# What is farther off says no more [s], [m].
-SPARE_TIMES: Final = (-0.5, 0.3)
-CLEAREST: Final = 0.3
-DRAWS: Final = 20  # balls tried for each demonstration wanted, at most
+CLEAREST: Final = 0.3  # [m]; what is farther off says no more
 
 _log = logging.getLogger(__name__)
 
 
 @final
-class TableTennis:
+class TableTennis(ArmSkill):
     """Table tennis against a launcher (satisfies `Skill`). One object serves one thread.
 
     State (6,): ball position [m] and velocity [m/s] as it passes x = +0.5 m, in the table frame.
@@ -70,41 +66,25 @@ class TableTennis:
         magnus: bool = False,
         cautious: bool = False,
     ) -> None:
-        self._name = _choice("environment", options.environment or "contact", ENVIRONMENTS)
-        self._launcher: Launcher = LAUNCHERS[_choice("launcher", options.launcher or "nominal", LAUNCHERS)]
-        preset = _choice("preset", options.preset or "tuned", CRITERIA)
+        self._name = choice("table tennis", "environment", options.environment or "contact", ENVIRONMENTS)
+        name = choice("table tennis", "launcher", options.launcher or "nominal", LAUNCHERS)
+        preset = choice("table tennis", "preset", options.preset or "tuned", CRITERIA)
+        self._launcher: Launcher = LAUNCHERS[name]
         self._criterion = CRITERIA[preset]
-        self._spec = task_spec(self._launcher, preset, options.name, options.seed)
-        self._options = replace(options, environment=self._name, launcher=self._launcher.name, preset=preset)
-        self._low, self._high = self._spec.bounds
-        self._arm = make_arm()
+        spec = task_spec(self._launcher, preset, options.name, options.seed)
+        options = replace(options, environment=self._name, launcher=name, preset=preset)
+        super().__init__(spec, options, self._launcher, make_arm(), HOME, _aim)
         self._magnus = magnus
         self._simulation = make_simulation(magnus=magnus)
         self._environment = make_environment(self._name, self._arm, self._simulation, magnus=magnus)
         self._collision = make_check(self._arm, itself=cautious)
         self._obstacles = "the table, the net or itself" if cautious else "the table or the net"
-        self._primitive = Primitive(JointLimits(self._arm.lower, self._arm.upper, SPEED_LIMITS, ACCELERATION_LIMITS))
         self._planner: Planner | None = None
         self._predictor: Predictor | None = None
         self._traces = traces
-        self._ball: Floats | None = None
         self.diverged = 0  # trials whose simulation failed
         if profiled:
             self._primitive = Primitive(self._primitive.limits, self._recorded_profile())
-
-    def spec(self) -> TaskSpec:
-        """The preset's task specification."""
-        return self._spec
-
-    @property
-    def options(self) -> SkillOptions:
-        """The options in force."""
-        return self._options
-
-    def reset(self, rng: np.random.Generator) -> Floats:
-        """Launches a ball and measures it; unfair launches are redrawn."""
-        self._ball = self._launcher.draw(rng)
-        return self._ball.copy()
 
     def execute(self, goal: Floats) -> TrialResult:
         """Swings at the ball of the last `reset`.
@@ -119,14 +99,14 @@ class TableTennis:
         Raises:
             Invalid: There was no `reset` before.
         """
-        return self.attempt(self._checked_ball, goal)
+        return self.attempt(self._situation, goal)
 
     def attempt(self, ball: Floats, goal: Floats) -> TrialResult:
         """As `execute`, for any ball (6,)."""
         try:
             swing, clearance = self._swing(goal)
             play = self._executed(ball, swing, float(goal[12]))
-        except _RefusedGoal as refusal:
+        except RefusedGoal as refusal:
             return self._measured(refusal, ball, goal)
         verdict = judge(play)
         outcomes = {"paper": verdict.paper, "strict": verdict.strict}
@@ -139,15 +119,11 @@ class TableTennis:
             trace=trace(self._simulation, motion(swing, play, verdict)) if self._traces else None,
         )
 
-    def restore(self, state: Floats) -> None:
-        """Has the ball of a state (6,) come next."""
-        self._ball = np.array(state, dtype=np.float64)
-
     def film(self, goal: Floats, interval: float) -> Film | None:
         """The motion of `execute`, in steps of at most `interval` [s], for drawing; None where the goal is refused."""
         try:
-            swing, play = self._play(self._checked_ball, goal)
-        except _RefusedGoal:
+            swing, play = self._play(self._situation, goal)
+        except RefusedGoal:
             return None
         return Film(trace(self._simulation, motion(swing, play, judge(play), interval)), play.hit_time)
 
@@ -157,19 +133,6 @@ class TableTennis:
 
         axis = self._spec.state[index]
         draw_hits(figure, self._arm, f"{axis.name} [{axis.unit}]", states[:, index], goals)
-
-    def demonstrations(self, count: int, rng: np.random.Generator) -> Sequence[Demonstration]:
-        """Plans successful returns for the launcher's next balls; balls that it cannot return are skipped."""
-        found: list[Demonstration] = []
-        for _ in range(DRAWS * count):
-            if len(found) == count:
-                break
-            ball = self._launcher.draw(rng)
-            if (plan := self.plan(ball)) is not None:
-                found.append(Demonstration(ball, *plan))
-        if len(found) < count:
-            raise Invalid(f"{self._spec.name}: {len(found)} of {count} demonstrations found; ask for fewer")
-        return found
 
     def plan(self, ball: Floats) -> tuple[Floats, TrialResult] | None:
         """The planner's first goal (13,) that returns `ball` (6,) by the strict criterion, and its result."""
@@ -191,10 +154,6 @@ class TableTennis:
             if result.info["outcomes"]["strict"]:
                 return
 
-    def _spare_time(self, goal: Floats) -> float:
-        spare = spare_time(self._primitive.limits, goal[:6] - HOME, goal[6:12], float(goal[12]))
-        return float(np.clip(spare, *SPARE_TIMES))
-
     def _recorded_profile(self) -> Floats:
         """The profile (N, 6) of a demonstration with a wind-up at the launcher's central ball, as measured there."""
         ball = np.array(self._launcher.centre)
@@ -206,32 +165,27 @@ class TableTennis:
         _, play = self._play(ball, plan[0])
         return demonstrated_profile(play.time, play.joints, play.hit_time)
 
-    @property
-    def _checked_ball(self) -> Floats:
-        if self._ball is None:
-            raise Invalid("execute needs a ball; call reset first")
-        return self._ball
-
     def scene(self) -> Sequence[Geom]:
         """Table, net, floor, pedestal, arm, paddle and ball."""
         return self._simulation.geoms()
 
-    def _measured(self, refusal: _RefusedGoal, ball: Floats, goal: Floats) -> TrialResult:
+    def _measured(self, refusal: RefusedGoal, ball: Floats, goal: Floats) -> TrialResult:
         """The result of a refused goal, with what can be told of it: the planned miss, spare time and clearance."""
+        outcomes = {"paper": False, "strict": False}
         if refusal.reason in ("invalid", "diverged"):
-            return refusal.result
+            return refusal.result(outcomes=outcomes)
         if self._predictor is None:
             self._predictor = make_predictor(self._name, magnus=self._magnus)
         goal = np.asarray(goal, dtype=np.float64)
         try:
             path = self._predictor.path(ball, float(goal[12]) + 2 * self._predictor.timestep)
         except Diverged:
-            return refusal.result
+            return refusal.result(outcomes=outcomes)
         row = min(round(float(goal[12]) / self._predictor.timestep), len(path) - 1)
         paddle = self._arm.tool(goal[:6], goal[6:12])
         miss = path[row, :3] - (paddle.position + FACE_OFFSET * paddle.normal)
         outcome = np.array([*miss, np.nan, np.nan, self._spare_time(goal), min(refusal.clearance, CLEAREST)])
-        return replace(refusal.result, outcome=outcome)
+        return refusal.result(outcome, outcomes=outcomes)
 
     def _play(self, ball: Floats, goal: Floats) -> tuple[JointTrajectory, Play]:
         swing, _ = self._swing(goal)
@@ -239,16 +193,7 @@ class TableTennis:
 
     def _swing(self, goal: Floats) -> tuple[JointTrajectory, float]:
         """The swing, and its least distance to the table [m]."""
-        try:
-            goal = np.asarray(goal, dtype=np.float64)
-        except (TypeError, ValueError):
-            raise _RefusedGoal("invalid", "the goal is not numeric") from None
-        if goal.shape != self._low.shape or not ((goal >= self._low) & (goal <= self._high)).all():
-            raise _RefusedGoal("invalid", "the goal has another shape, is not finite or is out of bounds")
-        try:
-            swing = self._primitive.trajectory(HOME, goal[:6], goal[6:12], float(goal[12]))
-        except Infeasible as error:
-            raise _RefusedGoal("infeasible", error.message) from error
+        swing = self._stroke(goal)
         rows = _between(swing)
         clearance, row = self._collision.clearance(rows)
         if clearance >= MARGIN:
@@ -256,9 +201,7 @@ class TableTennis:
             if touched is None:
                 return swing, clearance
             row = touched
-        raise _RefusedGoal(
-            "collision", f"the arm would touch {self._obstacles} at sample {row} of the swing", clearance
-        )
+        raise RefusedGoal("collision", f"the arm would touch {self._obstacles} at sample {row} of the swing", clearance)
 
     def _executed(self, ball: Floats, swing: JointTrajectory, hit_time: float) -> Play:
         try:
@@ -266,19 +209,7 @@ class TableTennis:
         except Diverged as error:
             self.diverged += 1
             _log.warning("trial dropped (%d so far): %s", self.diverged, error)
-            raise _RefusedGoal("diverged", str(error)) from error
-
-
-@final
-class _RefusedGoal(Exception):
-    """A goal that was not executed or could not be measured."""
-
-    def __init__(self, reason: str, detail: str, clearance: float = np.nan) -> None:
-        super().__init__(detail)
-        self.reason, self.clearance = reason, clearance
-        outcomes = {"paper": False, "strict": False}
-        info: dict[str, Any] = {"reason": reason, "detail": detail, "outcomes": outcomes}
-        self.result = TrialResult(cost=None, success=False, executed=False, info=info)
+            raise RefusedGoal("diverged", str(error)) from error
 
 
 def _between(swing: JointTrajectory) -> Floats:
@@ -290,7 +221,6 @@ def _between(swing: JointTrajectory) -> Floats:
     return rows
 
 
-def _choice(what: str, value: str, known: Any) -> str:
-    if value not in known:
-        raise Invalid(f"table tennis has no {what} {value!r}; there are {', '.join(known)}")
-    return value
+def _aim(goal: Floats) -> tuple[Floats, Floats, float]:
+    """Joint positions [rad] and velocities [rad/s] at the hit, and its time [s]."""
+    return goal[:6], goal[6:12], float(goal[12])

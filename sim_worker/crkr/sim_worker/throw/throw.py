@@ -10,17 +10,16 @@ from typing import Any, Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from crkr.protocol import Geom, Invalid, TaskSpec, Trace
+from crkr.protocol import Geom, Trace
+from crkr.sim_worker.arm.arm_skill import ArmSkill, RefusedGoal, choice
 from crkr.sim_worker.arm.collision import MARGIN
-from crkr.sim_worker.arm.dynamics import ACCELERATION_LIMITS, SPEED_LIMITS
-from crkr.sim_worker.primitives.joint_motion import JointLimits, JointTrajectory, spare_time
-from crkr.sim_worker.primitives.stroke import Infeasible, Primitive
+from crkr.sim_worker.primitives.joint_motion import JointTrajectory
 from crkr.sim_worker.simulation.flight import Ball
 from crkr.sim_worker.simulation.motion import INTERVAL, trace
 from crkr.sim_worker.simulation.simulation import Diverged
-from crkr.sim_worker.skill import Demonstration, Film, SkillOptions, TrialResult
+from crkr.sim_worker.skill import Film, SkillOptions, TrialResult
 from crkr.sim_worker.throw.environments import ENVIRONMENTS, Flight, make_environment
-from crkr.sim_worker.throw.layouts import LAUNCHERS, Launcher, Layout
+from crkr.sim_worker.throw.layouts import LAUNCHERS, Layout
 from crkr.sim_worker.throw.outcome import Passage, reason_of
 from crkr.sim_worker.throw.planner import HOME, Planner, full_goal
 from crkr.sim_worker.throw.scene import make_arm, make_check, make_simulation
@@ -31,14 +30,12 @@ __all__ = ["Throw"]
 Floats = NDArray[np.float64]
 
 PRESETS: Final = ("tuned",)
-SPARE_TIMES: Final = (-0.5, 0.3)  # [s]; what is farther off says no more
-DRAWS: Final = 20  # situations tried for each demonstration wanted, at most
 
 _log = logging.getLogger(__name__)
 
 
 @final
-class Throw:
+class Throw(ArmSkill):
     """Throws in the situations of a launcher (satisfies `Skill`). One object serves one thread.
 
     State (4,): the bin's x and y, the wall's x, and its height [m].
@@ -54,39 +51,17 @@ class Throw:
     """
 
     def __init__(self, options: SkillOptions, *, traces: bool = True) -> None:
-        name = _choice("environment", options.environment or "contact", ENVIRONMENTS)
-        self._launcher: Launcher = LAUNCHERS[_choice("launcher", options.launcher or "nominal", LAUNCHERS)]
-        preset = _choice("preset", options.preset or "tuned", PRESETS)
-        self._spec = task_spec(self._launcher, options.name, options.seed)
-        self._options = replace(options, environment=name, launcher=self._launcher.name, preset=preset)
-        self._low, self._high = self._spec.bounds
-        self._arm = make_arm()
+        name = choice("the throw", "environment", options.environment or "contact", ENVIRONMENTS)
+        launcher = LAUNCHERS[choice("the throw", "launcher", options.launcher or "nominal", LAUNCHERS)]
+        preset = choice("the throw", "preset", options.preset or "tuned", PRESETS)
+        spec = task_spec(launcher, options.name, options.seed)
+        options = replace(options, environment=name, launcher=launcher.name, preset=preset)
+        super().__init__(spec, options, launcher, make_arm(), HOME, full_goal)
         self._simulation = make_simulation()
         self._environment = make_environment(name, self._arm, self._simulation)
         self._check = make_check(self._arm)
-        self._limits = JointLimits(self._arm.lower, self._arm.upper, SPEED_LIMITS, ACCELERATION_LIMITS)
-        self._primitive = Primitive(self._limits)
-        self._planner = Planner(self._arm, self._limits)
+        self._planner = Planner(self._arm, self._primitive.limits)
         self._traces = traces
-        self._state: Floats | None = None
-
-    def spec(self) -> TaskSpec:
-        """The task specification."""
-        return self._spec
-
-    @property
-    def options(self) -> SkillOptions:
-        """The options in force."""
-        return self._options
-
-    def reset(self, rng: np.random.Generator) -> Floats:
-        """Places bin and wall."""
-        self._state = self._launcher.draw(rng)
-        return self._state.copy()
-
-    def restore(self, state: Floats) -> None:
-        """Places bin and wall as a state (4,) says."""
-        self._state = np.array(state, dtype=np.float64)
 
     def execute(self, goal: Floats) -> TrialResult:
         """Throws in the situation of the last `reset`.
@@ -102,7 +77,7 @@ class Throw:
         Raises:
             Invalid: There was no `reset` before.
         """
-        return self.attempt(self._checked_state, goal)
+        return self.attempt(self._situation, goal)
 
     def attempt(self, state: Floats, goal: Floats) -> TrialResult:
         """As `execute`, for any state (4,)."""
@@ -110,7 +85,7 @@ class Throw:
         try:
             swing = self._swing(goal)
             flight = self._thrown(layout, swing, goal)
-        except _RefusedGoal as refusal:
+        except RefusedGoal as refusal:
             return self._measured(refusal, layout, goal)
         passage = flight.passage
         return TrialResult(
@@ -124,11 +99,11 @@ class Throw:
 
     def film(self, goal: Floats, interval: float) -> Film | None:
         """The motion of `execute`, in steps of at most `interval` [s], for drawing; None where the goal is refused."""
-        layout = Layout.of(self._checked_state)
+        layout = Layout.of(self._situation)
         try:
             swing = self._swing(goal)
             return Film(self._trace(layout, self._thrown(layout, swing, goal), interval), float(goal[7]))
-        except _RefusedGoal:
+        except RefusedGoal:
             return None
 
     def draw_policy(self, figure: Any, states: Floats, goals: Floats, index: int) -> None:
@@ -137,19 +112,6 @@ class Throw:
 
         axis = self._spec.state[index]
         draw_throws(figure, self._arm, f"{axis.name} [{axis.unit}]", states[:, index], states, goals)
-
-    def demonstrations(self, count: int, rng: np.random.Generator) -> Sequence[Demonstration]:
-        """Plans successful throws for the launcher's next situations; those that it finds no throw for are skipped."""
-        found: list[Demonstration] = []
-        for _ in range(DRAWS * count):
-            if len(found) == count:
-                break
-            state = self._launcher.draw(rng)
-            if (plan := self.plan(state)) is not None:
-                found.append(Demonstration(state, *plan))
-        if len(found) < count:
-            raise Invalid(f"{self._spec.name}: {len(found)} of {count} demonstrations found; ask for fewer")
-        return found
 
     def plan(self, state: Floats) -> tuple[Floats, TrialResult] | None:
         """The planner's first goal (8,) that succeeds in a state (4,), and its result."""
@@ -164,28 +126,12 @@ class Throw:
         """Floor, pedestal, arm, gripper, wall, bin and ball."""
         return self._simulation.geoms()
 
-    @property
-    def _checked_state(self) -> Floats:
-        if self._state is None:
-            raise Invalid("execute needs a situation; call reset first")
-        return self._state
-
     def _swing(self, goal: Floats) -> JointTrajectory:
-        try:
-            goal = np.asarray(goal, dtype=np.float64)
-        except (TypeError, ValueError):
-            raise _RefusedGoal("invalid", "the goal is not numeric") from None
-        if goal.shape != self._low.shape or not ((goal >= self._low) & (goal <= self._high)).all():
-            raise _RefusedGoal("invalid", "the goal has another shape, is not finite or is out of bounds")
-        position, speed, time = full_goal(goal)
-        try:
-            swing = self._primitive.trajectory(HOME, position, speed, time)
-        except Infeasible as error:
-            raise _RefusedGoal("infeasible", error.message) from error
+        swing = self._stroke(goal)
         clearance, row = self._check.clearance(swing.position[::2])
         if clearance < MARGIN:
             detail = f"the arm would touch the floor or itself at knot {2 * row} of the swing"
-            raise _RefusedGoal("collision", detail)
+            raise RefusedGoal("collision", detail)
         return swing
 
     def _thrown(self, layout: Layout, swing: JointTrajectory, goal: Floats) -> Flight:
@@ -193,40 +139,19 @@ class Throw:
             return self._environment.throw(layout, swing, float(goal[7]))
         except Diverged as error:
             _log.warning("trial dropped: %s", error)
-            raise _RefusedGoal("diverged", str(error)) from error
+            raise RefusedGoal("diverged", str(error)) from error
 
-    def _measured(self, refusal: _RefusedGoal, layout: Layout, goal: Floats) -> TrialResult:
+    def _measured(self, refusal: RefusedGoal, layout: Layout, goal: Floats) -> TrialResult:
         """The result of a refused goal, with what can be told of it: the planned passage and spare time."""
         if refusal.reason in ("invalid", "diverged"):
-            return refusal.result
+            return refusal.result()
         position, speed, _ = full_goal(np.asarray(goal, dtype=np.float64))
         grip = self._arm.tool(position, speed)
         passage = Passage.of(Ball(*grip.position.tolist(), *grip.velocity.tolist()), layout)
         outcome = np.array([*passage.miss, passage.clearance, self._spare_time(goal)])
-        return replace(refusal.result, outcome=outcome)
-
-    def _spare_time(self, goal: Floats) -> float:
-        position, speed, time = full_goal(goal)
-        return float(np.clip(spare_time(self._limits, position - HOME, speed, time), *SPARE_TIMES))
+        return refusal.result(outcome)
 
     def _trace(self, layout: Layout, flight: Flight, interval: float) -> Trace:
         self._simulation.place("wall", layout.wall)
         self._simulation.place("bin", layout.bin)
         return trace(self._simulation, flight.motion.resampled(interval))
-
-
-@final
-class _RefusedGoal(Exception):
-    """A goal that was not executed or could not be measured."""
-
-    def __init__(self, reason: str, detail: str) -> None:
-        super().__init__(detail)
-        self.reason = reason
-        info: dict[str, Any] = {"reason": reason, "detail": detail}
-        self.result = TrialResult(cost=None, success=False, executed=False, info=info)
-
-
-def _choice(what: str, value: str, known: Any) -> str:
-    if value not in known:
-        raise Invalid(f"the throw has no {what} {value!r}; there are {', '.join(known)}")
-    return value

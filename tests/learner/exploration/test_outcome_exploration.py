@@ -148,6 +148,18 @@ def test_exploring_leaves_free_what_does_not_change_the_outcome(guided: Callable
     assert off(answer).max() < 3.0
 
 
+@pytest.mark.parametrize("kind", ["line", "quadratic", "gp"])
+def test_only_a_line_is_straight(kind: str, guided: Callable[..., TaskSpec]) -> None:
+    explorer = taught(guided(model=kind), 200).model.explorer
+    assert isinstance(explorer, OutcomeExplorer)
+    z, goal = np.zeros((1, D)), np.zeros((1, P))
+    model = OutcomeModel.near(explorer.trials, explorer.scales, (0,), z, goal, explorer.settings)
+    goals = np.arange(-12.0, 13.0, 4.0)[:, None] * np.array([0.5, -0.2, 0.3])
+    along = model.prospect(goals[None]).raw[0]
+    bends = np.abs(np.diff(along, 2, axis=0)).max() / np.abs(along).max()
+    assert bool(bends < 1e-6) is (kind == "line")
+
+
 def test_a_draw_is_the_first_within_the_bounds_of_documented_numbers(guided: Callable[..., TaskSpec]) -> None:
     spec = guided(temperature=[0.2, 0.6, 6.0], iterations=1)
     model = taught(spec, 600).model
@@ -159,10 +171,10 @@ def test_a_draw_is_the_first_within_the_bounds_of_documented_numbers(guided: Cal
         answer = model.predict(state, True, trial)
         z, mean = own.metric.standardise(state)[None], own.scaled(answer.means)[None]
         spread = np.minimum(4 * answer.sigmas / own.scales, own.high - own.low)[None]
-        near = OutcomeModel.near(explorer.trials, own, (0,), z, mean, 100)
+        near = OutcomeModel.near(explorer.trials, own, (0,), z, mean, explorer.settings)
         posterior = condition_within(mean, spread, near.line(mean), own)
         if np.abs(posterior.g - mean).max() > 0.3:
-            near = OutcomeModel.near(explorer.trials, own, (0,), z, posterior.g, 100)
+            near = OutcomeModel.near(explorer.trials, own, (0,), z, posterior.g, explorer.settings)
             posterior = condition_within(mean, spread, near.line(posterior.g), own)
         u = uniforms(5, [trial], P + 1 + attempts * (1 + P + 3))[0]
         temperature = (0.2, 0.6, 6.0)[int(3 * u[P])]

@@ -188,7 +188,7 @@ class OutcomeExplorer:
         return own.metric.standardise(states), own.scaled(means), spread
 
     def _model(self, z: Array, goals: Array) -> OutcomeModel:
-        return OutcomeModel.near(self.trials, self.scales, self.groups, z, goals, self.settings.neighbours)
+        return OutcomeModel.near(self.trials, self.scales, self.groups, z, goals, self.settings)
 
     def _conditioned(
         self, z: Array, means: Array, spread: Array, model: OutcomeModel

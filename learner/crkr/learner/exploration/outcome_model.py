@@ -11,7 +11,7 @@ global while all trials are among the nearest.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, final
 
 import numpy as np
@@ -23,12 +23,18 @@ from crkr.learner.exploration.outcome_neighbours import nearest
 from crkr.learner.exploration.outcome_posterior import OutcomeLine
 from crkr.learner.exploration.outcome_scales import GOAL_SHARE, OutcomeScales
 from crkr.learner.selection.anms_batch import Indices
-from crkr.protocol import MOST_NEIGHBOURS, Array
+from crkr.protocol import MOST_NEIGHBOURS, Array, Exploration
 
 __all__ = ["OutcomeModel", "Prospect"]
 
 # Constants found on logs of several tasks; see docs/outcomes.md. Outcomes are in tolerances, steps in the metric.
 _OUTCOME: Final = StepKernel(constant=900.0, linear=100.0, bend=100.0, reach=5.0, noise=0.05)
+_KERNELS: Final = {
+    "gp": _OUTCOME,
+    "line": replace(_OUTCOME, bend=0.0),
+    # So wide a bend is a straight line and a quadratic term, about as curved as that of "gp" is near by.
+    "quadratic": replace(_OUTCOME, bend=25_600.0, reach=20.0, linear=36.0),
+}
 _SHARE_OF_SIZE: Final = 0.0025  # of an outcome's square that is noise: far misses say little of what is near the target
 _REFUSAL: Final = StepKernel(constant=4.0, linear=1.0, bend=4.0, reach=2.0, noise=0.1)
 _REFUSED: Final = -2.0
@@ -84,9 +90,15 @@ class OutcomeModel:
 
     @classmethod
     def near(
-        cls, trials: ObservedTrials, scales: OutcomeScales, groups: Sequence[int], z: Array, goals: Array, count: int
+        cls,
+        trials: ObservedTrials,
+        scales: OutcomeScales,
+        groups: Sequence[int],
+        z: Array,
+        goals: Array,
+        settings: Exploration,
     ) -> OutcomeModel:
-        """Fits every group to its `count` trials nearest to the states z (b, d) and goals (b, p), scaled.
+        """Fits every group to its `neighbours` trials nearest to the states z (b, d) and goals (b, p), scaled.
 
         Args:
             trials: What is searched.
@@ -94,18 +106,19 @@ class OutcomeModel:
             groups: Which groups are modelled, at least one.
             z: (b, d) states in the metric.
             goals: (b, p) where the fits are best.
-            count: Neighbours.
+            settings: The number of neighbours, and the kind of model.
         """
         x = np.concatenate([z, GOAL_SHARE * goals], axis=1)
-        p, count = goals.shape[1], min(count, MOST_NEIGHBOURS)
+        p, count = goals.shape[1], min(settings.neighbours, MOST_NEIGHBOURS)
+        kernel = _KERNELS[settings.model]
         fits, together = [], []
         for counted, sets in _sets(trials, groups, count):
             near = nearest(trials, x, [one[0] for one in sets], counted)
             for one, rows, D in zip(sets, near.rows, near.D, strict=True):
                 entries = np.concatenate([scales.groups[group] for group in one])
                 Y = trials.Y[rows[:, :, None], entries]
-                noise = _OUTCOME.noise + _SHARE_OF_SIZE * np.vecdot(Y, Y) / len(entries)
-                fits.append(LocalGP.fit(_OUTCOME, D, Y, p, noise))
+                noise = kernel.noise + _SHARE_OF_SIZE * np.vecdot(Y, Y) / len(entries)
+                fits.append(LocalGP.fit(kernel, D, Y, p, noise))
                 together.append(entries)
         entries = np.concatenate(together)
         risky, refusals = _refusals(trials, x, p, count)

@@ -131,7 +131,7 @@ class PrequentialRecord:
         if groups:
             d = after.X.shape[1] - len(self._scales.scales)
             z, goal = after.X[-1:, :d], after.X[-1:, d:] / GOAL_SHARE
-            model = OutcomeModel.near(before, self._scales, groups, z, goal, own.neighbours)
+            model = OutcomeModel.near(before, self._scales, groups, z, goal, own)
             seen, observed = model.prospect(goal[:, None]), after.Y[-1, model.entries]
             off = np.full(after.Y.shape[1], np.nan)
             off[model.entries] = (observed - seen.raw[0, 0]) / np.sqrt(seen.variance[0, 0])

@@ -60,7 +60,7 @@ class Exploration:
         iterations: Updates of the goal by the outcome model.
         min_trials: Executed trials before the outcome model is used.
         gate: Predicted outcome, in tolerances, above which the mean is corrected.
-        model: "gp", local Gaussian processes.
+        model: Local outcome model: "gp", a Gaussian process that bends near by; "line", which does not, or "quadratic".
         candidates: Goals that an answer without exploration is chosen among, beside the mean and the corrected one.
         drift: Whether the outcome model restarts by itself where the robot has changed.
     """
@@ -91,7 +91,7 @@ class Exploration:
             integer(entry.get("iterations", 3), "exploration.iterations", low=1, high=100),
             integer(entry.get("min_trials", 6), "exploration.min_trials", low=1, high=MOST_TRIALS),
             number(entry.get("gate", 1.0), "exploration.gate", low=0.0),
-            choice(entry.get("model", "gp"), "exploration.model", ("gp",)),
+            choice(entry.get("model", "gp"), "exploration.model", ("gp", "line", "quadratic")),
             integer(entry.get("candidates", 32), "exploration.candidates", low=0, high=1000),
             flag(entry.get("drift", True), "exploration.drift"),
         )

@@ -82,13 +82,47 @@ def test_dominated_novelty_is_the_mean_distance_from_three_better_ones(samples: 
     assert set(chosen("dominated-novelty", Z, costs, 9)) == {int(one) for one in np.argsort(novelty)[-9:]}
 
 
+def test_independence_drops_the_sample_that_the_others_determine_best(samples: tuple[np.ndarray, np.ndarray]) -> None:
+    Z, costs = samples
+    kernel = np.exp(-0.5 * ((Z[:, None] - Z[None]) ** 2).sum(axis=2)) + 1e-4 * np.eye(60)
+    kept: list[int] = []
+    for number in range(60):
+        kept.append(number)
+        if len(kept) > 8:
+            left = []
+            for one in kept:
+                others = [other for other in kept if other != one]
+                weights = np.linalg.solve(kernel[np.ix_(others, others)], kernel[others, one])
+                left.append(kernel[one, one] - kernel[one, others] @ weights)
+            del kept[int(np.argmin(left))]
+    assert chosen("independence", Z, costs, 8) == kept
+    assert chosen("independence", Z, costs[::-1], 8) == kept
+
+
+def test_independence_goes_on_as_from_the_beginning(samples: tuple[np.ndarray, np.ndarray]) -> None:
+    Z, costs = samples
+    selector = RIVAL_SELECTORS["independence"](2, 8)
+    for start in range(0, 60, 7):
+        selector.extend(Z[start : start + 7], costs[start : start + 7])
+        assert len(selector.active) == min(8, start + 7)
+    assert selector.active.tolist() == chosen("independence", Z, costs, 8)
+
+
+def test_splits_keep_the_cheapest_sample_of_every_cell() -> None:
+    rng = np.random.default_rng(3)
+    Z, costs = rng.permutation(64)[:, None] / 64.0, rng.uniform(size=64)
+    eighths = np.floor(8 * Z[:, 0])
+    best = [min(np.flatnonzero(eighths == cell), key=lambda row: costs[row]) for cell in range(8)]
+    assert chosen("splits", Z, costs, 8) == sorted(int(row) for row in best)
+
+
 def test_a_study_learns_by_each_selector_and_lists_those_that_there_are() -> None:
     app = Typer()
     app.command()(study)
     words = ["--seeds", "1", "--trials", "15", "--contexts", "5", "--jobs", "1", "--budget", "6"]
-    done = CliRunner().invoke(app, [*words, "--only", "cover", "--only", "recency"])
+    done = CliRunner().invoke(app, [*words, "--only", "anms", "--only", "cover", "--only", "all-by-dtc"])
     assert done.exit_code == 0, done.output
-    assert all(f"{name}, budget 6, lambda 1" in done.stdout for name in ("cover", "recency"))
+    assert all(f"{name}, budget 6, lambda 1" in done.stdout for name in ("anms", "cover", "all-by-dtc"))
     error = CliRunner().invoke(app, ["--only", "best"]).exception
     assert isinstance(error, Invalid)
     assert "no selector 'best'; there are: anms, full, freeze, recency" in str(error)

@@ -1,119 +1,219 @@
-"""`crkr experiment study`: rules for the active set, budgets and trade-offs, with the same trials."""
+"""`crkr experiment study` and `ablation`: ways to choose samples, and parts of the learner, with the same trials."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
-from crkr.client.cli.console import print_json, stderr
+from crkr.client.cli.console import print_json, print_table, stderr, stdout
 from crkr.client.cli.options import Json
 
 if TYPE_CHECKING:
-    from crkr.experiments.learning.run import Course
-    from crkr.experiments.study.rows import Row
+    from crkr.experiments.rivals.comparison import Contest
+    from crkr.experiments.rivals.rival import Rival
+    from crkr.experiments.study.rows import Comparison, Row, Rows
+    from crkr.protocol import TaskSpec
     from crkr.sim_worker.skill import Skill
 
-__all__ = ["study"]
+__all__ = ["ablation", "study"]
 
-_FILE: Final = "study.csv"
+_MARKS: Final = (100, 200, 500, 1000)
 
-
-class _Way(NamedTuple):
-    """A rule with its settings."""
-
-    selector: str
-    budget: int
-    tradeoff: float
-
-    @property
-    def name(self) -> str:
-        """As it stands in the table."""
-        return f"{self.selector}, budget {self.budget}, lambda {self.tradeoff:g}"
+Only = Annotated[list[str] | None, typer.Option("--only", help="A name; may be repeated.")]
+Seeds = Annotated[int, typer.Option(min=1, max=10_000, help="Runs of each way, one a seed.")]
+FirstSeed = Annotated[int, typer.Option(min=0, max=2**30, help="Seed of the first run.")]
+Trials = Annotated[int, typer.Option(min=1, max=100_000, help="Training trials of a run.")]
+Contexts = Annotated[int, typer.Option(min=1, max=1_000_000, help="Fresh contexts of each judgement.")]
+Judge = Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Seed of these contexts.")]
+Demonstrations = Annotated[int, typer.Option(min=1, max=10_000, help="Demonstrations before the first trial.")]
+Criterion = Annotated[str | None, typer.Option(help="Of success, e.g. paper; the strictest unless told.")]
+Launcher = Annotated[str | None, typer.Option(help="Where contexts come from, e.g. wide.")]
+Environment = Annotated[str, typer.Option(help="Which simulator, e.g. contact.")]
+Preset = Annotated[str, typer.Option(help="Which settings, e.g. tuned.")]
+SkillName = Annotated[str, typer.Option("--skill", help="A skill, or package.module:factory.")]
+Jobs = Annotated[int, typer.Option(min=1, max=256, help="Processes of this machine.")]
+On = Annotated[str, typer.Option("--on", help="Where runs are made: here or ray, a cluster.")]
+Out = Annotated[Path | None, typer.Option(file_okay=False, help="Keep rows in a CSV file here, and go on.")]
 
 
 def study(
-    only: Annotated[list[str] | None, typer.Option("--only", help="A selector's name; may be repeated.")] = None,
+    only: Only = None,
     budgets: Annotated[list[int] | None, typer.Option("--budget", min=1, help="May be repeated; 250.")] = None,
     tradeoffs: Annotated[list[float] | None, typer.Option("--lambda", min=0.0, help="May be repeated; 1.")] = None,
-    seeds: Annotated[int, typer.Option(min=1, max=10_000, help="Runs of each way, one a seed.")] = 10,
-    first_seed: Annotated[int, typer.Option(min=0, max=2**30, help="Seed of the first run.")] = 0,
-    trials: Annotated[int, typer.Option(min=1, max=100_000, help="Training trials of a run.")] = 1500,
-    contexts: Annotated[int, typer.Option(min=1, max=1_000_000, help="Fresh contexts of the last judgement.")] = 300,
-    judge: Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Seed of these contexts.")] = 777,
-    demonstrations: Annotated[int, typer.Option(min=1, max=10_000, help="Demonstrations before the first trial.")] = 5,
-    launcher: Annotated[str | None, typer.Option(help="Where contexts come from, e.g. wide.")] = None,
-    environment: Annotated[str, typer.Option(help="Which simulator, e.g. contact.")] = "analytic",
-    preset: Annotated[str, typer.Option(help="Which settings, e.g. tuned.")] = "paper",
-    skill: Annotated[str, typer.Option(help="A skill, or package.module:factory.")] = "table-tennis",
-    jobs: Annotated[int, typer.Option(min=1, max=256, help="Processes of this machine.")] = 2,
-    on: Annotated[str, typer.Option("--on", help="Where runs are made: here or ray, a cluster.")] = "here",
-    out: Annotated[Path | None, typer.Option(file_okay=False, help="Keep rows in study.csv here, and go on.")] = None,
+    seeds: Seeds = 10,
+    first_seed: FirstSeed = 0,
+    trials: Trials = 1000,
+    contexts: Contexts = 200,
+    judge: Judge = 777,
+    demonstrations: Demonstrations = 5,
+    criterion: Criterion = None,
+    launcher: Launcher = None,
+    environment: Environment = "analytic",
+    preset: Preset = "paper",
+    skill: SkillName = "table-tennis",
+    jobs: Jobs = 2,
+    on: On = "here",
+    out: Out = None,
+    costs: Annotated[bool, typer.Option(help="Instead, time a trial of each way by the samples there are.")] = False,
     json: Json = False,
 ) -> None:
-    """Compare rules for the active set on the same trials.
+    """Compare rules for the active set, and approximations, on the same trials.
 
+    Each is compared with ANMS of the same budget and lambda, seed by seed.
     With --out, runs that the folder already holds are not made again.
 
     Example: crkr experiment study --only anms --only full --budget 50 --budget 250
     """
     from itertools import product
 
-    from crkr.client.cli.progress import Progress
-    from crkr.experiments.learning.run import Course
-    from crkr.experiments.study.rows import Rows, print_summary, summary_table
-    from crkr.experiments.study.selectors import RIVAL_SELECTORS
+    from crkr.experiments.study.ways import RULES, Way
     from crkr.protocol import Invalid
+
+    unknown = sorted(set(only or ()) - set(RULES))
+    if unknown:
+        raise Invalid(f"no selector {unknown[0]!r}; there are: {', '.join(RULES)}")
+    names = [name for name in RULES if not only or name in only]
+    grid = list(product(budgets or [250], tradeoffs or [1.0]))
+    if costs:
+        from crkr.experiments.study.costs import print_costs
+
+        print_costs(names, [budget for budget, _ in grid])
+        return
+    ways = {way.name: way for way in (Way(name, *one) for name, one in product(names, grid))}
+    rivals = {name: Way("anms", way.budget, way.tradeoff).name for name, way in ways.items()}
+    settings = {
+        "skill": skill, "launcher": launcher, "environment": environment, "preset": preset, "contexts": contexts,
+        "judge": judge, "demonstrations": demonstrations, "criterion": criterion,
+    }  # fmt: skip
+    chosen = range(first_seed, first_seed + seeds)
+    rows, marks = _run("study.csv", settings, ways, chosen, trials, (jobs, on, out))
+    table = _shown(rows, marks, rivals, settings, as_json=json)
+    if json:
+        print_json(table)
+    elif len(grid) > 1:
+        _print_overall(rows, names, [Way("anms", *one) for one in grid], trials)
+
+
+def ablation(
+    only: Only = None,
+    seeds: Seeds = 8,
+    first_seed: FirstSeed = 0,
+    trials: Trials = 500,
+    contexts: Contexts = 200,
+    judge: Judge = 777,
+    demonstrations: Demonstrations = 5,
+    criterion: Criterion = None,
+    launcher: Launcher = None,
+    environment: Environment = "analytic",
+    skill: SkillName = "table-tennis",
+    jobs: Jobs = 2,
+    on: On = "here",
+    out: Out = None,
+    json: Json = False,
+) -> None:
+    """Learn with one part of the learner left out or changed, and compare with the whole.
+
+    With --out, runs that the folder already holds are not made again.
+
+    Example: crkr experiment ablation --launcher wide --only "no outcome" --only "no scoring"
+    """
+    from crkr.experiments.study.ablations import ABLATIONS, WHOLE
+    from crkr.protocol import Invalid
+
+    unknown = sorted(set(only or ()) - set(ABLATIONS))
+    if unknown:
+        raise Invalid(f"no ablation {unknown[0]!r}; there are: {', '.join(ABLATIONS)}")
+    ways = {name: change for name, change in ABLATIONS.items() if not only or name in only}
+    settings = {
+        "skill": skill, "launcher": launcher, "environment": environment, "preset": "tuned", "contexts": contexts,
+        "judge": judge, "demonstrations": demonstrations, "criterion": criterion,
+    }  # fmt: skip
+    chosen = range(first_seed, first_seed + seeds)
+    rows, marks = _run("ablation.csv", settings, ways, chosen, trials, (jobs, on, out))
+    table = _shown(rows, marks, dict.fromkeys(ways, WHOLE), settings, as_json=json)
+    if json:
+        print_json(table)
+
+
+def _run(
+    file: str,
+    settings: Mapping[str, Any],
+    ways: Mapping[str, Any],
+    seeds: Sequence[int],
+    trials: int,
+    places: tuple[int, str, Path | None],
+) -> tuple[Rows, tuple[int, ...]]:
+    """Makes the runs that are missing; returns all rows, and the marks."""
+    from crkr.client.cli.progress import Progress
+    from crkr.experiments.rivals.comparison import Contest
+    from crkr.experiments.study.rows import Rows
     from crkr.sim_worker.places.places import load_places
     from crkr.sim_worker.skill import SkillOptions
 
-    unknown = sorted(set(only or ()) - set(RIVAL_SELECTORS))
-    if unknown:
-        raise Invalid(f"no selector {unknown[0]!r}; there are: {', '.join(RIVAL_SELECTORS)}")
-    names = [name for name in RIVAL_SELECTORS if not only or name in only]
-    ways = {way.name: way for way in (_Way(*one) for one in product(names, budgets or [250], tradeoffs or [1.0]))}
-    marks = tuple(mark for mark in (0, 50, 100, 200, 500, 1000) if mark < trials)
-    settings = {
-        "skill": skill,
-        "launcher": launcher,
-        "environment": environment,
-        "preset": preset,
-        "contexts": contexts,
-        "judge": judge,
-        "demonstrations": demonstrations,
-    }
-    rows = Rows(out, _FILE, settings)
-
-    def part(way: _Way, seed: int) -> tuple[str, str, Course, int]:
-        settings = (("budget", way.budget), ("regularisation", way.tradeoff))
-        course = Course(trials, contexts, judge, demonstrations, marks, settings=settings)
-        return way.name, way.selector, course, seed
-
-    missing = rows.missing(ways, range(first_seed, first_seed + seeds), trials)
-    parts = [part(ways[name], seed) for name, seed in missing]
+    jobs, on, out = places
+    marks = (*(mark for mark in _MARKS if mark < trials), trials)
+    judged = (settings["contexts"], settings["judge"], settings["demonstrations"], settings["criterion"])
+    contest = Contest(marks, *judged)
+    rows = Rows(out, file, settings)
+    parts = [(contest, name, ways[name], seed) for name, seed in rows.missing(ways, seeds, trials)]
+    options = SkillOptions(**{name: settings[name] for name in ("environment", "launcher", "preset")})
     with Progress(stderr, "learning", len(parts), "runs") as progress:
-        options = SkillOptions(environment=environment, launcher=launcher, preset=preset)
-        spread = load_places(on).spread(skill, options, _learn, parts, jobs) if parts else iter(())
+        spread = load_places(on).spread(settings["skill"], options, _learn, parts, jobs) if parts else iter(())
         for done, found in enumerate(spread, 1):
             rows.add(found)
             progress.show(done, f"{found[0].way}, seed {found[0].seed}", now=True)
-    shown = (*marks[2:], trials)
-    table = summary_table(rows.all, ways, shown)
-    if json:
-        print_json(table)
-    else:
-        title = f"{skill}, {launcher or 'its launcher'}, {environment}, preset {preset}"
-        print_summary(table, shown, title, {})
+    rows.sort()
+    return rows, marks
 
 
-def _learn(skill: Skill, part: tuple[str, str, Course, int]) -> list[Row]:
-    from crkr.experiments.learning.run import learn_once
-    from crkr.experiments.study.rows import judged_row
-    from crkr.experiments.study.selectors import RIVAL_SELECTORS
-    from crkr.sim_worker.guarded_skill import GuardedSkill
+def _learn(skill: Skill, part: tuple[Contest, str, Callable[[TaskSpec, int], Rival], int]) -> list[Row]:
+    from crkr.experiments.rivals.comparison import train
 
-    name, selector, course, seed = part
-    run = learn_once(GuardedSkill(skill), course, seed, RIVAL_SELECTORS[selector])
-    early = [score for score in run.curve if score.trials < course.trials]
-    return [judged_row(name, seed, score) for score in (*early, run.final)]
+    contest, name, make, seed = part
+    return train(skill, contest, make(skill.spec(), seed), name, seed)[0]
+
+
+def _shown(
+    rows: Rows, marks: tuple[int, ...], rivals: Mapping[str, str], settings: Mapping[str, Any], *, as_json: bool
+) -> list[dict[str, Any]]:
+    """The table of all ways, each beside its rival; printed unless it is wanted as JSON."""
+    from crkr.experiments.study.rows import compare, print_summary, summary_table
+
+    table = summary_table(rows.all, rivals, marks)
+    beside = {way: compare(rows.all, [(way, rival)], marks[-1]) for way, rival in rivals.items() if way != rival}
+    area = {
+        way: compare(rows.all, [(way, rival)], marks[-1], area=True) for way, rival in rivals.items() if way != rival
+    }
+    if not as_json:
+        title = ", ".join(f"{name} {value}" for name, value in settings.items() if value is not None)
+        extra = {
+            "gain": lambda way: _cell(beside.get(way), "gain"),
+            "P(better)": lambda way: _cell(beside.get(way), "better"),
+            "gain in area": lambda way: _cell(area.get(way), "gain"),
+        }
+        print_summary(table, marks[-3:], title, extra)
+    return [{**row, "beside": beside.get(row["way"]), "area": area.get(row["way"])} for row in table]
+
+
+def _cell(found: Comparison | None, field: str) -> str:
+    if found is None:
+        return ""
+    value, low, high = getattr(found, field)
+    sign = "+" if field == "gain" else ""
+    return f"{value:{sign}.3f} [{low:{sign}.3f}, {high:{sign}.3f}]"
+
+
+def _print_overall(rows: Rows, names: Sequence[str], anms: Sequence[Any], trials: int) -> None:
+    """Each rule beside ANMS over all budgets and lambdas, which are the strata."""
+    from crkr.experiments.study.rows import compare
+
+    lines = []
+    for name in names:
+        pairs = [(one._replace(rule=name).name, one.name) for one in anms]
+        last, area = compare(rows.all, pairs, trials), compare(rows.all, pairs, trials, area=True)
+        lines.append((name, _cell(last, "gain"), _cell(last, "better"), _cell(area, "gain"), last and last.seeds))
+    stdout.print("over all budgets and lambdas, beside ANMS")
+    print_table(("rule", "gain", "P(better)", "gain in area", "pairs"), [line for line in lines if line[0] != "anms"])

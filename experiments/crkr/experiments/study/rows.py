@@ -10,13 +10,25 @@ from pathlib import Path
 from typing import Any, Final, final
 
 import numpy as np
-from scipy.stats import trim_mean
+from scipy.stats import bootstrap, trim_mean
 
 from crkr.client.cli.console import print_table, stdout
 from crkr.experiments.learning.run import Score
 from crkr.protocol import Invalid
 
-__all__ = ["Row", "Rows", "Summary", "judged_row", "print_summary", "summarise", "summary_table"]
+__all__ = [
+    "Comparison",
+    "Row",
+    "Rows",
+    "Summary",
+    "compare",
+    "interval",
+    "judged_row",
+    "print_summary",
+    "rates",
+    "summarise",
+    "summary_table",
+]
 
 RESAMPLES: Final = 2000
 
@@ -87,12 +99,25 @@ class Rows:
         self.all += rows
         if self._path is None:
             return
-        new = not self._path.exists()
-        with self._path.open("a", newline="", encoding="utf-8") as file:
-            writer = csv.DictWriter(file, [entry.name for entry in fields(Row)])
-            if new:
-                writer.writeheader()
-            writer.writerows(asdict(row) for row in rows)
+        if not self._path.exists():
+            _write(self._path, [], "w")
+        _write(self._path, rows, "a")
+
+    def sort(self) -> None:
+        """Puts the rows of the file in order, so that it does not tell which process was quicker."""
+        self.all.sort(key=lambda row: (row.way, row.seed, row.trials))
+        if self._path is not None and self.all:
+            partial = self._path.with_suffix(".partial")
+            _write(partial, self.all, "w")
+            partial.replace(self._path)
+
+
+def _write(path: Path, rows: Iterable[Row], mode: str) -> None:
+    with path.open(mode, newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, [entry.name for entry in fields(Row)])
+        if mode == "w":
+            writer.writeheader()
+        writer.writerows(asdict(row) for row in rows)
 
 
 def _check_settings(path: Path, settings: Mapping[str, Any]) -> None:
@@ -150,11 +175,74 @@ class Summary:
 
 def summarise(rows: Sequence[Row], way: str, trials: int) -> Summary:
     """Summarises the rows of one way at a mark, of which there is at least one."""
-    rates = np.array([row.successes / row.contexts for row in rows if (row.way, row.trials) == (way, trials)])
+    found = np.array(list(rates(rows, way, trials).values()))
+    mean, low, high = interval([found], _interquartile_mean)
+    return Summary(mean, low, high, float(found.min()), len(found))
+
+
+def rates(rows: Sequence[Row], way: str, trials: int, *, area: bool = False) -> dict[int, float]:
+    """Seed -> success rate after so many trials; with `area` the mean rate up to there, the area under its curve."""
+    curves: dict[int, dict[int, float]] = {}
+    for row in rows:
+        if row.way == way and row.trials <= trials:
+            curves.setdefault(row.seed, {})[row.trials] = row.successes / row.contexts
+    whole = {seed: curve for seed, curve in curves.items() if trials in curve}
+    return {seed: _area(curve) if area else curve[trials] for seed, curve in whole.items()}
+
+
+def _area(curve: Mapping[int, float]) -> float:
+    marks = sorted(curve)
+    values = [curve[mark] for mark in marks]
+    return values[0] if len(marks) == 1 else float(np.trapezoid(values, marks) / (marks[-1] - marks[0]))
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """Ways beside others on the same seeds, each number with its 95 % interval by the stratified bootstrap.
+
+    Attributes:
+        gain: Interquartile mean of the differences, seed by seed, and its interval.
+        better: Probability of improvement: the share of seeds at which it is better, draws counted half.
+        seeds: Number of pairs.
+    """
+
+    gain: tuple[float, float, float]
+    better: tuple[float, float, float]
+    seeds: int
+
+
+def compare(
+    rows: Sequence[Row], pairs: Iterable[tuple[str, str]], trials: int, *, area: bool = False
+) -> Comparison | None:
+    """Compares the first of each pair with its second, one stratum a pair, by `rates`; None: no seed has both."""
+    strata = []
+    for way, other in pairs:
+        mine, theirs = rates(rows, way, trials, area=area), rates(rows, other, trials, area=area)
+        if both := sorted(mine.keys() & theirs.keys()):
+            strata.append(np.array([mine[seed] - theirs[seed] for seed in both]))
+    if not strata:
+        return None
+    wins = [0.5 + 0.5 * np.sign(differences) for differences in strata]
+    return Comparison(interval(strata, _interquartile_mean), interval(wins, np.mean), sum(map(len, strata)))
+
+
+def interval(strata: Sequence[np.ndarray], statistic: Callable[..., Any]) -> tuple[float, float, float]:
+    """A statistic of all strata together, and its 95 % interval where each has two entries or more."""
+
+    def pooled(*parts: np.ndarray, axis: int = -1) -> Any:
+        return statistic(np.concatenate(parts, axis=axis), axis=axis)
+
+    value = float(pooled(*strata))
+    if min(map(len, strata)) < 2:
+        return value, value, value
     rng = np.random.default_rng(0)
-    resampled = trim_mean(rng.choice(rates, (RESAMPLES, len(rates))), 0.25, axis=1)
-    low, high = np.quantile(resampled, [0.025, 0.975])
-    return Summary(float(trim_mean(rates, 0.25)), float(low), float(high), float(rates.min()), len(rates))
+    found = bootstrap(tuple(strata), pooled, n_resamples=RESAMPLES, method="percentile", random_state=rng)
+    return value, float(found.confidence_interval.low), float(found.confidence_interval.high)
+
+
+def _interquartile_mean(values: np.ndarray, axis: int) -> Any:
+    return trim_mean(values, 0.25, axis=axis)
 
 
 def summary_table(rows: Sequence[Row], ways: Iterable[str], marks: Iterable[int]) -> list[dict[str, Any]]:

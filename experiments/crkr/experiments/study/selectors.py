@@ -1,13 +1,15 @@
-"""Rival rules for the active set: each is a function of all samples, taken anew after every change."""
+"""Rival rules for the active set: each is a function of all samples in their order, taken anew after every change."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import partial
 from hashlib import blake2b
+from heapq import heapify, heappop, heappush
 from typing import Final, final
 
 import numpy as np
+from scipy.linalg import lapack
 from scipy.spatial.distance import cdist
 
 from crkr.learner import SELECTORS, SelectorFactory
@@ -163,6 +165,57 @@ def dominated_novelty(Z: Floats, costs: Floats, budget: int) -> Indices:
     return order[np.argsort(-novelty, kind="stable")[:budget]]
 
 
+def splits(Z: Floats, costs: Floats, budget: int) -> Indices:
+    """The cheapest sample of each cell; the fullest cell is split at the median of its longest side.
+
+    A learner that splits [Cardoso2017, its reference 11] answers from the samples of one cell. Which these are depends
+    on the query, so they are no active set; this rule keeps the best of every cell instead.
+    """
+    cells = [(-len(Z), 0, np.arange(len(Z)))]
+    heapify(cells)
+    while len(cells) < budget:
+        _, _, cell = heappop(cells)
+        side = int(np.argmax(np.ptp(Z[cell], axis=0)))
+        order = cell[np.argsort(Z[cell, side], kind="stable")]
+        for half in np.array_split(order, 2):
+            heappush(cells, (-len(half), int(half[0]), half))
+    return np.array([cell[np.lexsort((cell, costs[cell]))[0]] for _, _, cell in cells])
+
+
+@final
+class Independence:
+    """A dictionary that a new sample enters in the place of the least independent one  [NguyenTuong2011].
+
+    Independence is what the others leave open of a sample: 1 / diag(K^-1), for the kernel matrix K with a small noise.
+    The rule is blind to costs. It depends on the order of arrival, so it goes on from the samples that it was asked
+    about last where they lead the new ones.
+    """
+
+    def __init__(self) -> None:
+        self._seen, self._kept, self._budget = np.empty((0, 0)), list[int](), 0
+
+    def __call__(self, Z: Floats, costs: Floats, budget: int) -> Indices:
+        """The dictionary after all samples."""
+        del costs  # Unused.
+        if budget != self._budget or not np.array_equal(self._seen, Z[: len(self._seen)]):
+            self._seen, self._kept, self._budget = Z[:0], [], budget
+        for number in range(len(self._seen), len(Z)):
+            self._kept.append(number)
+            if len(self._kept) > budget:
+                del self._kept[self._least(Z[self._kept])]
+        self._seen = Z.copy()
+        return np.array(self._kept)
+
+    @staticmethod
+    def _least(Z: Floats) -> int:
+        """Position of the least independent row; the newest of equal ones."""
+        K = np.exp(-0.5 * cdist(Z, Z, "sqeuclidean"))
+        K.flat[:: len(K) + 1] += NOISE_FLOOR
+        factor, _ = lapack.dpotrf(K.T, lower=1, overwrite_a=1)
+        inverse, _ = lapack.dpotri(factor, lower=1, overwrite_c=1)
+        return len(K) - 1 - int(np.argmax(np.diag(inverse)[::-1]))
+
+
 RULES: Final[Mapping[str, Rule]] = {
     "recency": recency,
     "reservoir": reservoir,
@@ -171,8 +224,16 @@ RULES: Final[Mapping[str, Rule]] = {
     "cover": cover,
     "information-gain": information_gain,
     "dominated-novelty": dominated_novelty,
+    "splits": splits,
 }
+
+
+def _independence(dimensions: int, budget: int) -> RuleSelector:
+    return RuleSelector(dimensions, budget, Independence())
+
+
 RIVAL_SELECTORS: Final[Mapping[str, SelectorFactory]] = {
     **SELECTORS,
     **{name: partial(RuleSelector, rule=rule) for name, rule in RULES.items()},
+    "independence": _independence,
 }

@@ -1,0 +1,63 @@
+"""Every ablation learns, and differs from the learner by what its name says."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer import Typer
+from typer.testing import CliRunner
+
+from crkr.experiments.rivals.comparison import Contest, train
+from crkr.experiments.rivals.rival import Crkr
+from crkr.experiments.study.ablations import ABLATIONS, CHANGED_AFTER
+from crkr.experiments.study.command import ablation
+from crkr.protocol import Invalid
+from crkr.sim_worker.skill import SkillOptions
+from crkr.sim_worker.table_tennis.table_tennis import TableTennis
+
+
+@pytest.fixture(scope="module")
+def skill() -> TableTennis:
+    return TableTennis(SkillOptions(environment="analytic", launcher="wide"), traces=False)
+
+
+@pytest.mark.parametrize("name", ABLATIONS)
+def test_every_ablation_learns(name: str, skill: TableTennis) -> None:
+    rows, _ = train(skill, Contest((12,), 2, 3, 5), ABLATIONS[name](skill.spec(), 1), name, 1)
+    assert [(row.trials, row.contexts) for row in rows] == [(12, 2)]
+
+
+def test_nothing_left_out_is_the_learner(skill: TableTennis) -> None:
+    contest = Contest((20,), 20, 3, 5)
+    whole, _ = train(skill, contest, ABLATIONS["whole"](skill.spec(), 1), "crkr", 1)
+    assert whole == train(skill, contest, Crkr(skill.spec(), 1), "crkr", 1)[0]
+
+
+def test_a_changed_robot_executes_another_goal_than_was_learned(skill: TableTennis) -> None:
+    spec, rng = skill.spec(), np.random.default_rng(0)
+    shown = skill.demonstrations(3, rng)
+    changed, whole = (ABLATIONS[name](spec, 1) for name in ("robot changes", "whole"))
+    for learner in (changed, whole):
+        learner.start(shown)
+    states = np.array([one.state for one in shown])
+    np.testing.assert_array_equal(changed.policy(states), whole.policy(states))
+    for _ in range(CHANGED_AFTER):
+        for learner in (changed, whole):
+            learner.tell(states[0], learner.ask(states[0]), shown[0].result)
+    moved = changed.policy(states) - whole.policy(states)
+    np.testing.assert_allclose(moved[:, 0], spec.scales[0])
+    np.testing.assert_array_equal(moved[:, 1:], 0.0)
+
+
+def test_ablations_are_listed_and_another_experiments_folder_is_refused(tmp_path: Path) -> None:
+    app = Typer()
+    app.command()(ablation)
+    error = CliRunner().invoke(app, ["--only", "nonsense"]).exception
+    assert isinstance(error, Invalid)
+    assert "no ablation 'nonsense'; there are: whole, no outcome" in str(error)
+    words = ["--seeds", "1", "--trials", "10", "--contexts", "3", "--jobs", "1", "--out", str(tmp_path)]
+    done = CliRunner().invoke(app, [*words, "--launcher", "wide", "--only", "whole", "--only", "no outcome"])
+    assert done.exit_code == 0, done.output
+    error = CliRunner().invoke(app, [*words, "--launcher", "medium"]).exception
+    assert isinstance(error, Invalid)
+    assert "holds runs with launcher wide; choose another folder" in str(error)

@@ -124,6 +124,7 @@ def test_every_verb_that_stores_or_asks_has_its_vectors() -> None:
         "configure",
         "rollback",
         "rename",
+        "delete",
         "error",
     }
     assert {name.split(".")[0] for name in NAMES} == asked | changed

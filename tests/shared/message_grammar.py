@@ -29,12 +29,13 @@ from odd_values import (
 )
 from valid_messages import Rng, one, request, specification
 
-__all__ = ["ADMIN_VERBS", "ROOT", "Grammar", "Message"]
+__all__ = ["ADMIN_VERBS", "MOVES", "ROOT", "Grammar", "Message"]
 
 ROOT: Final = "crkr/@v1/"
 SERVER_VERBS: Final = ("info", "tasks", "create_task")
 TASK_VERBS: Final = ("predict", "report", "status", "spec", "model", "samples", "explain")
-ADMIN_VERBS: Final = ("recost", "remove", "amend", "undo", "refit", "configure", "rollback", "archive")
+MOVES: Final = ("rename", "delete")
+ADMIN_VERBS: Final = ("recost", "remove", "amend", "undo", "refit", "configure", "rollback", "archive", *MOVES)
 SERVED: Final = tuple(zenoh.KeyExpr(ROOT + each) for each in ("rpc/*", "task/*/rpc/*", "task/*/admin/*"))
 
 
@@ -92,15 +93,22 @@ class Grammar:
         seed: The same seed gives the same messages.
         tasks: Name -> specification of the tasks that are asked.
         expendable: The one of them that may be archived.
+        movable: Tasks that may be renamed and deleted, and of which nothing else is asked.
         new: Names that a task to be created may have.
         spared: A task under whose name others publish, but which nobody asks.
     """
 
     def __init__(
-        self, seed: int, tasks: Mapping[str, dict[str, Any]], expendable: str, new: Sequence[str], spared: str
+        self,
+        seed: int,
+        tasks: Mapping[str, dict[str, Any]],
+        expendable: str,
+        movable: Sequence[str],
+        new: Sequence[str],
+        spared: str,
     ) -> None:
         self._rng = np.random.default_rng(seed)
-        self._tasks, self._expendable, self._new = dict(tasks), expendable, new
+        self._tasks, self._expendable, self._movable, self._new = dict(tasks), expendable, movable, new
         self._published = (*tasks, spared, spared, "nobody", "x" * 200)
 
     def draw(self) -> Message:
@@ -157,7 +165,7 @@ class Grammar:
             verb = one((*TASK_VERBS, "predict", "report", "report", one((*ODD_VERBS, *ADMIN_VERBS), rng)), rng)
             return f"task/{task}/rpc/{verb}", task, verb
         verb = one((*ADMIN_VERBS, "recost", "remove", "configure", one((*ODD_VERBS, *TASK_VERBS), rng)), rng)
-        task = self._expendable if verb == "archive" else task
+        task = self._expendable if verb == "archive" else one(self._movable, rng) if verb in MOVES else task
         return f"task/{task}/admin/{verb}", task, verb
 
     def _attachment(self) -> bytes | None:

@@ -110,6 +110,8 @@ def request(verb: str, spec: Mapping[str, Any], new: Sequence[str], rng: Rng) ->
         },
         "rollback": lambda: {"to": int(rng.integers(1, 40)), "reason": "because"},
         "undo": lambda: {"request": fresh.to_bytes(16, "big"), "worker": "eve", "reason": "because"},
+        "rename": lambda: {"name": one((*new, f"moved-{rng.integers(60)}"), rng), "request": known[0]},
+        "delete": lambda: {"request": known[0]},
         "remove": lambda: {"ids": known[:1], "reason": "because"},
         "configure": lambda: {
             "changes": {

@@ -108,7 +108,7 @@ class Administration(ABC):
             Invalid: The name cannot be a task's.
             Conflict: There is a task of that name, or workers train this one.
         """
-        return self._admin("rename", {"name": check_name(name)}, timeout_s)
+        return self._admin("rename", {"name": check_name(name), "request": uuid4()}, timeout_s)
 
     def delete(self, *, timeout_s: float | None = None) -> dict[str, Any]:
         """Takes the task out of service and frees its name; `crkr purge` removes its data for good.
@@ -116,7 +116,7 @@ class Administration(ABC):
         Raises:
             Conflict: Workers train it.
         """
-        return self._admin("delete", {}, timeout_s)
+        return self._admin("delete", {"request": uuid4()}, timeout_s)
 
     def remove(self, ids: Sequence[UUID], reason: str = "", *, timeout_s: float | None = None) -> dict[str, Any]:
         """Removes trials from the model; the log keeps them, marked: `removed`, `seq`, `model_version`."""

@@ -110,7 +110,7 @@ class Server:
     """
 
     def __init__(self, settings: ServerSettings, log: TaskLog, tasks: Iterable[ServedTask]) -> None:
-        self.tasks = Tasks()
+        self.tasks = Tasks(log.reads.moves())
         self._settings = settings
         self._log = log
         for task in tasks:
@@ -177,7 +177,7 @@ class Server:
         verbs = "predict report status spec model samples explain"
         intake(task_key("*", "*"), verbs, predictor.answer, self.tasks.look)
         intake(rpc_key("*"), "info tasks create_task")
-        intake(admin_key("*", "*"), f"refit {changes}", None, self.tasks.look)
+        intake(admin_key("*", "*"), f"refit {changes}", None, self.tasks.look_back)
         self._token_key = live_server_key(str(server_id))
         return writer.commits
 

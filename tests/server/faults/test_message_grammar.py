@@ -10,7 +10,7 @@ import msgpack
 import numpy as np
 import pytest
 import zenoh
-from message_grammar import ADMIN_VERBS, ROOT, Grammar, Message
+from message_grammar import ADMIN_VERBS, MOVES, ROOT, Grammar, Message
 from odd_values import HUGE
 from valid_messages import specification, trial
 
@@ -48,6 +48,7 @@ class Conversation:
         self._session, self._grammar = session, grammar
         self.codes: Counter[str] = Counter()
         self.created: set[str] = set()
+        self.moved: dict[str, str | None] = {}
         self.written: dict[str, set[int]] = {}
         self.wrong: list[str] = []
 
@@ -99,6 +100,9 @@ class Conversation:
         if message.verb == "create_task" and answer["created"]:
             assert message.payload is not None
             self.created.add(msgpack.unpackb(message.payload, strict_map_key=False)["name"])
+        elif message.verb in MOVES and "/admin/" in message.key:
+            known = self.moved.setdefault(message.task, answer.get("name"))
+            assert known == answer.get("name"), f"moved twice: {message}"
         elif message.verb in WRITES and "seq" in str(answer.keys()):
             seqs = answer["seqs"] if message.verb == "report" else [answer["seq"]]
             self.written.setdefault(message.task, set()).update(seqs)
@@ -129,9 +133,12 @@ def test_a_message_with_one_thing_wrong_gets_one_typed_answer_and_leaves_nothing
     ask = connect(server.endpoint)
     names = ("reach", "guided", "shut", "calm")
     tasks = {name: specification(name, guided=name == "guided") for name in names}
+    movable = [f"movable-{number}" for number in range(30)]
     asked = {name: spec for name, spec in tasks.items() if name != "calm"}
     rng = np.random.default_rng(count)
-    grammar = Grammar(count, asked, "shut", ["new", "reach"], "calm")
+    grammar = Grammar(count, asked, "shut", movable, ["new", "reach"], "calm")
+    for name in movable:
+        ask("rpc/create_task", specification(name))
     for name, spec in tasks.items():
         trials = [{**trial(spec, number + 1, rng), "success": True, "kind": "trial"} for number in range(FIRST)]
         ask("rpc/create_task", spec)
@@ -153,7 +160,9 @@ def test_a_message_with_one_thing_wrong_gets_one_typed_answer_and_leaves_nothing
         processes.wait_until(lambda: own_threads(pid) >= threads, server.log)
         assert resident(pid) - memory < GROWTH
 
-        assert set(ask("rpc/info")["tasks"]) == {*tasks, *talk.created}
+        assert {name is None for name in talk.moved.values()} == {True, False}
+        there = {*tasks, *talk.created, *movable, *talk.moved.values()} - {*talk.moved, None}
+        assert set(ask("rpc/info")["tasks"]) == there
         for name, seqs in talk.written.items():  # what the log holds was well-formed, and acknowledged
             last = ask(f"task/{name}/rpc/status")["seq"]
             assert seqs | set(range(1, FIRST + 2)) == set(range(1, last + 1))
@@ -164,6 +173,7 @@ def test_a_message_with_one_thing_wrong_gets_one_typed_answer_and_leaves_nothing
         server.process.wait(timeout=5)
         again = start_server(port=server.port)
         ask = connect(again.endpoint)
+        assert set(ask("rpc/info")["tasks"]) == there
         assert {**ask("task/calm/rpc/predict", QUESTION), "compute_us": 0} == calm
         assert all("fault" not in ask(f"task/{name}/rpc/status") for name in tasks)
 

@@ -12,6 +12,7 @@ from crkr.client import Client, Task
 from crkr.protocol import Conflict, Invalid, UnknownTask
 from crkr.server.data_commands import purge, replay
 
+Ask = Callable[..., dict[str, Any]]
 AXIS = {"low": -1.0, "high": 1.0}
 
 
@@ -61,6 +62,35 @@ def test_a_renamed_task_goes_on_under_its_new_name(shared_endpoint: str, process
                 task.rename("renamed-again")
             with pytest.raises(Conflict, match="'worker-1'"):
                 task.delete()
+
+
+def test_what_is_asked_again_after_a_lost_answer_is_answered_as_the_first_time(
+    start_server: Callable[..., Any], connect: Callable[[str], Ask]
+) -> None:
+    server = start_server()
+    ask = connect(server.endpoint)
+    first, second = ({"request": number * bytes([1]) + bytes(16 - number)} for number in (1, 2))
+    for name in ("before", "gone"):
+        ask("rpc/create_task", specification(name))
+    renamed = ask("task/before/admin/rename", {"name": "after", **first})
+    deleted = ask("task/gone/admin/delete", first)
+    assert (renamed["name"], deleted["deleted"]) == ("after", True)
+    ask("rpc/create_task", specification("gone", budget=7))
+
+    def repeated() -> None:
+        assert ask("task/before/admin/rename", {"name": "after", **first}) == renamed
+        assert ask("task/gone/admin/delete", first) == deleted
+        assert ask("task/gone/rpc/status")["seq"] == 1  # the new task of that name is another's
+        for verb, message in (("rename", {"name": "after", **second}), ("delete", first), ("delete", {})):
+            assert ask(f"task/before/admin/{verb}", message)["error"]["code"] == "UNKNOWN_TASK"
+        assert ask("task/gone/admin/delete", {"request": b"short"})["error"]["code"] == "INVALID"
+
+    repeated()
+    server.process.kill()
+    server.process.wait(5)
+    ask = connect(start_server(data=server.data, port=server.port).endpoint)
+    repeated()
+    assert ask("task/gone/admin/delete", second)["deleted"] is True
 
 
 def test_a_deleted_task_frees_its_name_and_stays_until_it_is_purged(start_server: Callable[..., Any]) -> None:

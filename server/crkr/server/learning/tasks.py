@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from itertools import islice
 from typing import Any, Final, final
@@ -161,22 +161,37 @@ class Tasks:
     """All tasks by name. The writer changes them.
 
     Lists of entries are copied in one step of the interpreter, so that an addition cannot interfere.
+
+    Args:
+        moves: The renames and deletions in the log.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, moves: Iterable[Event] = ()) -> None:
         self._by_name: dict[str, ServedTask] = {}
+        self._moves: dict[tuple[str, str, bytes], Event] = {}
+        self._former: set[str] = set()
+        for event in moves:
+            self._note(event)
 
     def add(self, task: ServedTask) -> None:
         """Put a task into service."""
         self._by_name[task.name] = task
 
-    def rename(self, before: str, name: str) -> None:
-        """Let a task be found by another name, in its place."""
-        self._by_name = {name if key == before else key: task for key, task in self._by_name.items()}
+    def move(self, before: str, event: Event) -> None:
+        """Let a task be found by another name, in its place, or take it out of service."""
+        named = {before: event.body["name"] if event.kind == "rename" else None}
+        found = [(named.get(key, key), task) for key, task in self._by_name.items()]
+        self._by_name = {key: task for key, task in found if key is not None}
+        self._note(event)
 
-    def remove(self, name: str) -> None:
-        """Take a task out of service."""
-        self._by_name = {key: task for key, task in self._by_name.items() if key != name}
+    def _note(self, event: Event) -> None:
+        if "request" in event.body:
+            self._former.add(event.body["was"])
+            self._moves[event.kind, event.body["was"], event.body["request"]] = event
+
+    def moved(self, verb: str, name: str, request: object) -> Event | None:
+        """What was done for this request already, by its asker's id; None for one that is new or has no id."""
+        return self._moves.get((verb, name, request)) if isinstance(request, bytes) else None
 
     def find(self, name: str) -> ServedTask | None:
         """The task, or None; raises `Internal` for one that could not be restored."""
@@ -209,6 +224,11 @@ class Tasks:
                 f"no task {name!r} here; there are: {known}{more}; crkr create makes one", details={"task": name}
             )
         return task
+
+    def look_back(self, name: str) -> None:
+        """Raises `UnknownTask` for a name that no task has or had: of a former one a request may be repeated."""
+        if name not in self._former:
+            self.look(name)
 
     def __contains__(self, name: str) -> bool:
         return name in self._by_name

@@ -45,7 +45,8 @@ class Event:
         body: Its numbers as plain data: the specification of a create, ids and costs of a recost, ids of a remove,
             ids and new values of an amend, changes of a configure, the resulting numbers of a fit; nothing of an
             archive and of a restart, the position and the values to go back to of a rollback, the new name of a rename
-            and of a delete. What was before stands in `was`, and what is taken back in `undoes`.
+            and of a delete. What was before stands in `was`, what is taken back in `undoes`, and the asker's id of what
+            must not be done twice in `request`.
     """
 
     seq: int

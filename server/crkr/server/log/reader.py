@@ -28,6 +28,7 @@ _BLOCKS: Final = f"SELECT {BLOCK_COLUMNS} FROM trial WHERE task = ? AND seq > ? 
 _EVENTS: Final = """SELECT seq, time, kind, body, digest FROM event WHERE task = ? AND seq > ? AND seq <= ?
                     ORDER BY seq LIMIT ?"""
 _EVENT: Final = "SELECT seq, time, kind, body, digest FROM event WHERE task = ? AND seq = ?"
+_MOVES: Final = "SELECT seq, time, kind, body, digest FROM event WHERE kind IN ('rename', 'delete')"
 _PAGE: Final = f"SELECT {ROW_COLUMNS} FROM trial WHERE task = ? AND seq > ? ORDER BY seq LIMIT ?"
 _PAGE_BEFORE: Final = f"SELECT {ROW_COLUMNS} FROM trial WHERE task = ? AND seq < ? ORDER BY seq DESC LIMIT ?"
 _END: Final = 2**62  # beyond every log position
@@ -147,6 +148,11 @@ class LogReader:
         """The event at a log position, None where there is none."""
         with self._database.errors(f"read the log of task {task!r}"):
             return next(map(_event, self._database.rows(_EVENT, self._key(task), seq)), None)
+
+    def moves(self) -> list[Event]:
+        """Every rename and delete of any task."""
+        with self._database.errors("read which tasks were renamed or deleted"):
+            return [_event(row) for row in self._database.rows(_MOVES)]
 
     def read(self, task: str, after: int = 0) -> Iterator[LoggedTrial | Event]:
         """All entries past a log position, in order; raises `StorageError` at the first that is damaged or missing."""

@@ -25,9 +25,9 @@ from crkr.protocol.codec import array_from_wire
 from crkr.protocol.errors import shown
 from crkr.protocol.specification.task_spec import CHANGEABLE
 from crkr.server.learning.tasks import ServedTask, hyperparameters
-from crkr.server.log import DELETED, values_of
+from crkr.server.log import DELETED, Event, values_of
 
-__all__ = ["Answer", "Change", "amendment", "read_change", "refuse_unknown", "removal"]
+__all__ = ["Answer", "Change", "amendment", "moved", "read_change", "refuse_unknown", "removal"]
 
 Answer: TypeAlias = Callable[[ServedTask, Any], dict[str, Any]]
 """Makes the fields of a reply from the task and the learner's result."""
@@ -158,14 +158,29 @@ def _archive(_message: Mapping[str, Any], _task: ServedTask) -> Change:
     return Change("archive", {}, lambda _task, _: {"archived": True})
 
 
-def _rename(message: Mapping[str, Any], _task: ServedTask) -> Change:
+def _rename(message: Mapping[str, Any], task: ServedTask) -> Change:
     name = check_name(required(message, "name"), "new task name")
-    return Change("rename", {"name": name}, lambda task, _: {"name": task.name})
+    return _move("rename", name, message, task)
 
 
-def _delete(_message: Mapping[str, Any], task: ServedTask) -> Change:
-    kept = f"{DELETED}{task.name}/{task.seq}-{uuid4().hex[:8]}"
-    return Change("delete", {"name": kept}, lambda _task, _: {"deleted": True})
+def _delete(message: Mapping[str, Any], task: ServedTask) -> Change:
+    return _move("delete", f"{DELETED}{task.name}/{task.seq}-{uuid4().hex[:8]}", message, task)
+
+
+def _move(kind: str, name: str, message: Mapping[str, Any], task: ServedTask) -> Change:
+    body: dict[str, Any] = {"name": name}
+    if message.get("request") is not None:  # earlier clients send none
+        body |= {"was": task.name, "request": id_from_wire(message["request"], "request").bytes}
+    return Change(kind, body, lambda _task, _: _moved_to(kind, name))
+
+
+def moved(event: Event) -> dict[str, Any]:
+    """The answer to a repeated rename or delete."""
+    return {**_moved_to(event.kind, event.body["name"]), "seq": event.seq, "model_version": event.seq}
+
+
+def _moved_to(kind: str, name: str) -> dict[str, Any]:
+    return {"name": name} if kind == "rename" else {"deleted": True}
 
 
 def refuse_unknown(task: str, ids: Sequence[UUID], found: Sequence[Mapping[str, Any]]) -> None:

@@ -30,7 +30,7 @@ from crkr.server.log import Event, PendingReport, Stored, TaskLog
 from crkr.server.metrics.durations import Durations
 from crkr.server.queries.queue import busy
 from crkr.server.queries.request import Job, Request
-from crkr.server.verbs.admin import Change, read_change, refuse_unknown
+from crkr.server.verbs.admin import Change, moved, read_change, refuse_unknown
 from crkr.server.verbs.rollback import read_rollback
 from crkr.server.verbs.undo import read_undo
 from crkr.server.workers import Workers
@@ -196,11 +196,16 @@ class Writer:
                 self._learning.submit(task, batch)
 
     def _change(self, request: Request) -> None:
+        message = request.message()
+        before = self._tasks.moved(request.verb, request.task, message.get("request"))
+        if before is not None:
+            request.reply(moved(before))
+            return
         task = self._tasks.get(request.task)
         if request.verb in _BY_LOG:
-            change = _BY_LOG[request.verb](request.message(), task, self._log.reads)
+            change = _BY_LOG[request.verb](message, task, self._log.reads)
         else:
-            change = read_change(request.verb, request.message(), task)
+            change = read_change(request.verb, message, task)
         self._refuse_when_full(request, task)
         self.commit(task, change, request)
 
@@ -261,10 +266,8 @@ class Writer:
         name = task.name
         task.note(event)
         logger.info("%s of task %s at log position %d", change.kind, name, event.seq)
-        if change.kind == "rename":
-            self._tasks.rename(name, task.name)
-        elif change.kind == "delete":
-            self._tasks.remove(name)
+        if change.kind in _WHERE:
+            self._tasks.move(name, event)
         self._await(task, event, event.seq, change, request)
 
     def _refuse_in_use(self, task: ServedTask, change: Change) -> None:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import functools
+import inspect
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 from uuid import UUID
 
 import typer
@@ -17,9 +19,12 @@ __all__ = [
     "Json",
     "LogLevel",
     "Overwrite",
+    "Reason",
+    "TaskName",
     "Timeout",
     "ZenohConfig",
     "check_count",
+    "connected",
     "parse_ids",
     "parse_vector",
 ]
@@ -49,6 +54,8 @@ ZenohConfig = Annotated[
         rich_help_panel="Connection",
     ),
 ]
+TaskName = Annotated[str, typer.Argument(help="Name of the task.")]
+Reason = Annotated[str, typer.Option("--reason", help="Reason, kept in the log.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON value for programs.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace an existing file.")]
 LogLevel = Annotated[
@@ -60,6 +67,37 @@ LogLevel = Annotated[
         help="Log to standard error: debug, info, warning or error.",
     ),
 ]
+
+
+def connected(timeout_s: float) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Gives a command the options of a connection; its first argument is the client that they make.
+
+    Args:
+        timeout_s: Deadline of each call unless --timeout is given [s].
+    """
+
+    def decorate(command: Callable[..., None]) -> Callable[..., None]:
+        @functools.wraps(command)
+        def run(*, connect: str | None, timeout: float, zenoh_config: Path | None, **arguments: Any) -> None:
+            from crkr.client import Client
+
+            with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
+                command(client, **arguments)
+
+        lazy = {"Client": Any}  # which some modules import for their types only
+        _, *own = inspect.signature(command, eval_str=True, locals=lazy).parameters.values()
+        last = [own.pop()] if own and own[-1].annotation is Json else []
+        options = {"connect": (Connect, None), "timeout": (Timeout, timeout_s), "zenoh_config": (ZenohConfig, None)}
+        of_connection = [
+            inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, annotation=annotation, default=default)
+            for name, (annotation, default) in options.items()
+        ]
+        every = [each.replace(kind=inspect.Parameter.KEYWORD_ONLY) for each in (*own, *of_connection, *last)]
+        run.__signature__ = inspect.Signature(every)  # type: ignore[attr-defined]  # what Typer reads
+        run.__annotations__ = {each.name: each.annotation for each in every}
+        return run
+
+    return decorate
 
 
 def parse_vector(text: str, option: str) -> list[float]:

@@ -10,7 +10,7 @@ import typer
 
 from crkr.client import Client
 from crkr.client.cli.console import json_data, print_json, stderr, stdout, tidy
-from crkr.client.cli.options import Connect, Json, Timeout, ZenohConfig, parse_ids
+from crkr.client.cli.options import Json, Reason, TaskName, connected, parse_ids
 from crkr.protocol import Invalid
 
 if sys.version_info >= (3, 11):
@@ -20,17 +20,13 @@ else:
 
 __all__ = ["archive", "configure", "delete", "recost", "refit", "remove", "rename", "rollback", "show_answer"]
 
-_Task = Annotated[str, typer.Argument(help="Name of the task.")]
-_Reason = Annotated[str, typer.Option("--reason", help="Reason, kept in the log.")]
 
-
+@connected(10.0)
 def recost(
-    task: _Task,
+    client: Client,
+    task: TaskName,
     changes: Annotated[list[str], typer.Argument(metavar="ID=COST...", help="New costs in [0, 1].")],
-    reason: _Reason = "",
-    connect: Connect = None,
-    timeout: Timeout = 10.0,
-    zenoh_config: ZenohConfig = None,
+    reason: Reason = "",
     as_json: Json = False,
 ) -> None:
     """Correct the costs of stored trials.
@@ -43,48 +39,42 @@ def recost(
         costs = [float(pair[2]) for pair in pairs]
     except ValueError as error:
         raise typer.BadParameter("each change is ID=COST with a number for the cost") from error
-    with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
-        show_answer(client.task(task).recost(ids, costs, reason), as_json)
+    show_answer(client.task(task).recost(ids, costs, reason), as_json)
 
 
+@connected(10.0)
 def remove(
-    task: _Task,
+    client: Client,
+    task: TaskName,
     ids: Annotated[list[str], typer.Argument(metavar="ID...", help="Ids of the trials to remove from the model.")],
-    reason: _Reason = "",
-    connect: Connect = None,
-    timeout: Timeout = 10.0,
-    zenoh_config: ZenohConfig = None,
+    reason: Reason = "",
     as_json: Json = False,
 ) -> None:
     """Remove trials from the model; the log keeps them, marked.
 
     Example: crkr remove throw 2f1c6a1e-6c1f-4b52-9f0e-0d6a3c5b7e11 --reason "hand slipped"
     """
-    with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
-        show_answer(client.task(task).remove(parse_ids(ids), reason), as_json)
+    show_answer(client.task(task).remove(parse_ids(ids), reason), as_json)
 
 
+@connected(60.0)
 def refit(
-    task: _Task,
-    connect: Connect = None,
-    timeout: Timeout = 60.0,
-    zenoh_config: ZenohConfig = None,
+    client: Client,
+    task: TaskName,
     as_json: Json = False,
 ) -> None:
     """Fit the kernel's length-scales to the evidence; kept only if it improves.
 
     Example: crkr refit throw
     """
-    with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
-        show_answer(client.task(task).refit(), as_json)
+    show_answer(client.task(task).refit(), as_json)
 
 
+@connected(10.0)
 def configure(
-    task: _Task,
+    client: Client,
+    task: TaskName,
     changes: Annotated[list[str], typer.Argument(metavar="KEY=VALUE...", help="Settings, as in the specification.")],
-    connect: Connect = None,
-    timeout: Timeout = 10.0,
-    zenoh_config: ZenohConfig = None,
     as_json: Json = False,
 ) -> None:
     """Change settings of a task while it runs.
@@ -92,10 +82,9 @@ def configure(
     Example: crkr configure throw budget=400 cost_map=odds kernel.linear_weight=0.1
     """
     wanted = _settings(changes)
-    with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
-        handle = client.task(task)
-        before = {} if as_json else handle.spec.to_dict()
-        answer = handle.configure(wanted)
+    handle = client.task(task)
+    before = {} if as_json else handle.spec.to_dict()
+    answer = handle.configure(wanted)
     if as_json:
         print_json(answer)
         return
@@ -104,12 +93,11 @@ def configure(
         stdout.print(line)
 
 
+@connected(10.0)
 def archive(
-    task: _Task,
+    client: Client,
+    task: TaskName,
     yes: Annotated[bool, typer.Option("--yes", help="Do not ask for confirmation.")] = False,
-    connect: Connect = None,
-    timeout: Timeout = 10.0,
-    zenoh_config: ZenohConfig = None,
     as_json: Json = False,
 ) -> None:
     """End the learning of a task for good; it still answers and keeps its data.
@@ -118,49 +106,43 @@ def archive(
     """
     if not yes:
         _confirm(f"End learning of {task} for good?", f"to archive without a question: crkr archive {task} --yes")
-    with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
-        show_answer(client.task(task).archive(), as_json)
+    show_answer(client.task(task).archive(), as_json)
 
 
+@connected(60.0)
 def rollback(
-    task: _Task,
+    client: Client,
+    task: TaskName,
     to: Annotated[int, typer.Option("--to", min=1, help="Model version to go back to.")],
-    reason: _Reason = "",
-    connect: Connect = None,
-    timeout: Timeout = 60.0,
-    zenoh_config: ZenohConfig = None,
+    reason: Reason = "",
     as_json: Json = False,
 ) -> None:
     """Go back to the policy of an earlier version; nothing is lost, and a later version can be gone back to.
 
     Example: crkr rollback throw --to 120 --reason "the camera was off since then"
     """
-    with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
-        show_answer(client.task(task).rollback(to, reason), as_json)
+    show_answer(client.task(task).rollback(to, reason), as_json)
 
 
+@connected(10.0)
 def rename(
-    task: _Task,
+    client: Client,
+    task: TaskName,
     name: Annotated[str, typer.Argument(help="The new name.")],
-    connect: Connect = None,
-    timeout: Timeout = 10.0,
-    zenoh_config: ZenohConfig = None,
     as_json: Json = False,
 ) -> None:
     """Give a task another name.
 
     Example: crkr rename throw throw-left
     """
-    with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
-        show_answer(client.task(task).rename(name), as_json)
+    show_answer(client.task(task).rename(name), as_json)
 
 
+@connected(10.0)
 def delete(
-    task: _Task,
+    client: Client,
+    task: TaskName,
     yes: Annotated[bool, typer.Option("--yes", help="Do not ask for confirmation.")] = False,
-    connect: Connect = None,
-    timeout: Timeout = 10.0,
-    zenoh_config: ZenohConfig = None,
     as_json: Json = False,
 ) -> None:
     """Take a task out of service and free its name; the log and its backups keep it until `crkr purge`.
@@ -169,8 +151,7 @@ def delete(
     """
     if not yes:
         _confirm(f"Delete task {task}?", f"to delete without a question: crkr delete {task} --yes")
-    with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
-        show_answer(client.task(task).delete(), as_json)
+    show_answer(client.task(task).delete(), as_json)
 
 
 def _settings(changes: list[str]) -> dict[str, Any]:

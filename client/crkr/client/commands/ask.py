@@ -11,7 +11,7 @@ import typer
 
 from crkr.client import Client, Task
 from crkr.client.cli.console import print_table, stderr, stdout
-from crkr.client.cli.options import Connect, Timeout, ZenohConfig, check_count, parse_vector
+from crkr.client.cli.options import TaskName, check_count, connected, parse_vector
 from crkr.client.commands.trials import undone
 from crkr.protocol import GoalDimension, Invalid, NovelState, OutcomeEntry, Prediction, StateDimension, TaskSpec
 from crkr.protocol.checks import cost_number
@@ -23,15 +23,14 @@ _KEYS: Final = "h hit, m miss, f could not be tried, s skip, u undo, q quit"
 _LABELS: Final = {"h": "hit", "hit": "hit", "m": "miss", "miss": "miss", "f": "failed", "failed": "failed"}
 
 
+@connected(10.0)
 def ask(
-    task: Annotated[str, typer.Argument(help="Name of the task.")],
+    client: Client,
+    task: TaskName,
     state: Annotated[
         str | None, typer.Option("--state", help="State of all trials, in quotes; asked for each time unless given.")
     ] = None,
     best: Annotated[bool, typer.Option("--best", help="Try the best known goals instead of exploring.")] = False,
-    connect: Connect = None,
-    timeout: Timeout = 10.0,
-    zenoh_config: ZenohConfig = None,
 ) -> None:
     """Try goals by hand: show one, wait for h (hit) or m (miss), report it, and show the next.
 
@@ -40,15 +39,14 @@ def ask(
     Example: crkr ask throw --state "1.5"
     """
     fixed = None if state is None else parse_vector(state, "--state")
-    with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
-        handle = client.task(task)
-        if fixed is not None:
-            check_count(fixed, "--state", handle.spec.state)
-        stdout.print(_KEYS)
-        session = _Session(handle, fixed, explore=not best)
-        while session.step():
-            pass
-        stdout.print(f"{session.hits} hits in {session.tried} trials")
+    handle = client.task(task)
+    if fixed is not None:
+        check_count(fixed, "--state", handle.spec.state)
+    stdout.print(_KEYS)
+    session = _Session(handle, fixed, explore=not best)
+    while session.step():
+        pass
+    stdout.print(f"{session.hits} hits in {session.tried} trials")
 
 
 class _SessionEnded(Exception):

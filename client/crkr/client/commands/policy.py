@@ -12,17 +12,18 @@ import typer
 
 from crkr.client import Client
 from crkr.client.cli.console import print_json, print_table, stderr, stdout
-from crkr.client.cli.options import Connect, Json, Timeout, ZenohConfig, check_count, parse_ids, parse_vector
+from crkr.client.cli.options import Json, TaskName, check_count, connected, parse_ids, parse_vector
 from crkr.protocol import Prediction, SampleExplanation, TaskSpec
 
 __all__ = ["explain", "predict", "report"]
 
-_Task = Annotated[str, typer.Argument(help="Name of the task.")]
 _State = Annotated[str, typer.Option("--state", help='The state, in quotes: "0.1 0.2".')]
 
 
+@connected(5.0)
 def predict(
-    task: _Task,
+    client: Client,
+    task: TaskName,
     state: _State,
     explore: Annotated[
         bool, typer.Option("--explore", help="Draw a goal to try instead of the best known one.")
@@ -30,9 +31,6 @@ def predict(
     trial_id: Annotated[
         str | None, typer.Option("--id", metavar="UUID", help="Id of the trial to come, which fixes the draw.")
     ] = None,
-    connect: Connect = None,
-    timeout: Timeout = 5.0,
-    zenoh_config: ZenohConfig = None,
     as_json: Json = False,
 ) -> None:
     """Ask which goal to try in a state.
@@ -41,19 +39,20 @@ def predict(
     """
     numbers = parse_vector(state, "--state")
     ids: list[UUID] | None = None if trial_id is None else parse_ids([trial_id])
-    with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
-        handle = client.task(task)
-        spec = handle.spec
-        _check_state(numbers, spec)
-        answer = handle.predict(numbers, explore, trial_ids=ids)
+    handle = client.task(task)
+    spec = handle.spec
+    _check_state(numbers, spec)
+    answer = handle.predict(numbers, explore, trial_ids=ids)
     if as_json:
         print_json(_prediction_data(answer))
     else:
         _show_prediction(answer, spec)
 
 
+@connected(5.0)
 def report(
-    task: _Task,
+    client: Client,
+    task: TaskName,
     state: _State,
     goal: Annotated[str, typer.Option("--goal", help="The executed goal, in quotes.")],
     success: Annotated[
@@ -74,9 +73,6 @@ def report(
     ] = None,
     worker: Annotated[str | None, typer.Option("--worker", help="Name of the reporting process.")] = None,
     wait: Annotated[bool, typer.Option("--wait", help="Wait until the model includes it.")] = False,
-    connect: Connect = None,
-    timeout: Timeout = 5.0,
-    zenoh_config: ZenohConfig = None,
     as_json: Json = False,
 ) -> None:
     """Store the cost of an executed goal; it is on the server's disk when the command returns.
@@ -86,22 +82,21 @@ def report(
     numbers, aim = parse_vector(state, "--state"), parse_vector(goal, "--goal")
     measured = None if outcome is None else parse_vector(outcome, "--outcome")
     identifier = uuid4() if trial_id is None else parse_ids([trial_id])[0]
-    with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
-        handle = client.task(task)
-        _check_state(numbers, handle.spec)
-        check_count(aim, "--goal", handle.spec.goal)
-        receipt = handle.report(
-            state=numbers,
-            goal=aim,
-            cost=cost,
-            success=success,
-            kind=kind,
-            id=identifier,
-            outcome=measured,
-            worker=worker,
-            learn=learn,
-            wait=wait,
-        )
+    handle = client.task(task)
+    _check_state(numbers, handle.spec)
+    check_count(aim, "--goal", handle.spec.goal)
+    receipt = handle.report(
+        state=numbers,
+        goal=aim,
+        cost=cost,
+        success=success,
+        kind=kind,
+        id=identifier,
+        outcome=measured,
+        worker=worker,
+        learn=learn,
+        wait=wait,
+    )
     if as_json:
         print_json({**asdict(receipt), "ids": [identifier]})
     else:
@@ -110,13 +105,12 @@ def report(
         stdout.print(f"trial id {identifier}")
 
 
+@connected(5.0)
 def explain(
-    task: _Task,
+    client: Client,
+    task: TaskName,
     state: _State,
     sample: Annotated[str | None, typer.Option("--sample", metavar="UUID", help="Id of a sample to explain.")] = None,
-    connect: Connect = None,
-    timeout: Timeout = 5.0,
-    zenoh_config: ZenohConfig = None,
     as_json: Json = False,
 ) -> None:
     """Show what an answer rests on and how likely it succeeds, and why a sample is or is not in the model.
@@ -125,10 +119,9 @@ def explain(
     """
     numbers = parse_vector(state, "--state")
     sample_id = None if sample is None else parse_ids([sample])[0]
-    with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
-        handle = client.task(task)
-        _check_state(numbers, handle.spec)
-        answer = handle.explain(numbers, sample_id)
+    handle = client.task(task)
+    _check_state(numbers, handle.spec)
+    answer = handle.explain(numbers, sample_id)
     if as_json:
         print_json(answer)
         return

@@ -9,7 +9,7 @@ import typer
 
 from crkr.client import Client
 from crkr.client.cli.console import print_json, print_table, stdout
-from crkr.client.cli.options import Connect, Json, Timeout, ZenohConfig
+from crkr.client.cli.options import Json, connected
 from crkr.client.commands.spec_files import STANDARD_OUTPUT, read_spec, skill_spec, write_spec
 from crkr.protocol import TaskSpec
 
@@ -18,7 +18,9 @@ __all__ = ["create", "tasks"]
 _OF_A_SKILL = "Of a skill"
 
 
+@connected(5.0)
 def create(
+    client: Client,
     spec: Annotated[
         Path | None,
         typer.Argument(exists=True, dir_okay=False, metavar="SPEC.toml", help="Specification file, .toml or .json."),
@@ -49,9 +51,6 @@ def create(
             metavar="FILE.json", help="Only write the specification, for editing; - prints it. Needs no server."
         ),
     ] = None,
-    connect: Connect = None,
-    timeout: Timeout = 5.0,
-    zenoh_config: ZenohConfig = None,
     as_json: Json = False,
 ) -> None:
     """Create a task from a specification file or a skill; repeating it changes nothing.
@@ -75,8 +74,7 @@ def create(
         elif write != STANDARD_OUTPUT:
             stdout.print(f"wrote {write}: {_what(checked)}; edit it, then: crkr create {write}")
         return
-    with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
-        created = client.create_task(checked).created
+    created = client.create_task(checked).created
     if as_json:
         print_json({"name": checked.name, "created": created})
     else:
@@ -87,15 +85,13 @@ def _what(spec: TaskSpec) -> str:
     return f"{spec.name} (R^{len(spec.state)} -> R^{len(spec.goal)})"
 
 
-def tasks(
-    connect: Connect = None, timeout: Timeout = 5.0, zenoh_config: ZenohConfig = None, as_json: Json = False
-) -> None:
+@connected(5.0)
+def tasks(client: Client, as_json: Json = False) -> None:
     """List the server's tasks.
 
     Example: crkr tasks --json
     """
-    with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
-        found = list(client.iter_tasks())
+    found = list(client.iter_tasks())
     if as_json:
         print_json([{**entry, "spec": entry["spec"].to_dict()} for entry in found])
     elif not found:

@@ -10,7 +10,7 @@ import typer
 
 from crkr.client import Client, Task
 from crkr.client.cli.console import print_json, stderr, stdout
-from crkr.client.cli.options import Connect, Json, Overwrite, Timeout, ZenohConfig
+from crkr.client.cli.options import Connect, Json, Overwrite, TaskName, Timeout, ZenohConfig, connected
 from crkr.client.cli.output_file import check_output
 from crkr.client.cli.progress import Progress
 from crkr.protocol import Internal, Invalid, Unsupported
@@ -20,16 +20,15 @@ __all__ = ["export", "import_", "warm_start"]
 _PAGE: Final = 5000  # trials asked for, and written, together
 
 
+@connected(10.0)
 def export(
-    task: Annotated[str, typer.Argument(help="Name of the task.")],
+    client: Client,
+    task: TaskName,
     file: Annotated[Path, typer.Argument(dir_okay=False, help="File to write: .parquet, .csv or .npz.")],
     policy: Annotated[
         bool, typer.Option("--policy", help="Write the policy instead, as an .npz that NumPy alone evaluates.")
     ] = False,
     overwrite: Overwrite = False,
-    connect: Connect = None,
-    timeout: Timeout = 10.0,
-    zenoh_config: ZenohConfig = None,
     as_json: Json = False,
 ) -> None:
     """Write all trials of a task, as they are after all corrections, to a file.
@@ -43,23 +42,21 @@ def export(
     from crkr.client.trial_files import Layout, check_kind, trial_sink
 
     if policy:
-        with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
-            _export_policy(client.task(task), file, as_json, overwrite=overwrite)
+        _export_policy(client.task(task), file, as_json, overwrite=overwrite)
         return
     check_kind(file)
     check_output(file, overwrite=overwrite)
-    with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
-        handle = client.task(task)
-        layout, total = Layout(handle.spec), sum(handle.status()["samples"].values())
-        done = 0
-        bar = Progress(stderr, f"exporting {task}", total, "trials")
-        with trial_sink(file, layout, overwrite=overwrite) as sink, bar:
-            following: int | None = 0
-            while following is not None:
-                page, following = handle.samples(following, _PAGE)
-                sink.write(layout.columns(page))
-                done += len(page)
-                bar.show(done)
+    handle = client.task(task)
+    layout, total = Layout(handle.spec), sum(handle.status()["samples"].values())
+    done = 0
+    bar = Progress(stderr, f"exporting {task}", total, "trials")
+    with trial_sink(file, layout, overwrite=overwrite) as sink, bar:
+        following: int | None = 0
+        while following is not None:
+            page, following = handle.samples(following, _PAGE)
+            sink.write(layout.columns(page))
+            done += len(page)
+            bar.show(done)
     size = file.stat().st_size
     if as_json:
         print_json({"task": task, "file": str(file), "trials": done, "bytes": size})

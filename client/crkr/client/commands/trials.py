@@ -10,26 +10,22 @@ import typer
 
 from crkr.client import Client
 from crkr.client.cli.console import print_json, print_table, stdout, tidy
-from crkr.client.cli.options import Connect, Json, Timeout, ZenohConfig, parse_ids, parse_vector
+from crkr.client.cli.options import Json, Reason, TaskName, connected, parse_ids, parse_vector
 from crkr.client.commands.admin import show_answer
 from crkr.protocol import GoalDimension, OutcomeEntry, StateDimension, StoredTrial, TaskSpec
 
 __all__ = ["amend", "trials", "undo"]
 
-_Task = Annotated[str, typer.Argument(help="Name of the task.")]
-_Reason = Annotated[str, typer.Option("--reason", help="Reason, kept in the log.")]
 
-
+@connected(10.0)
 def trials(
-    task: _Task,
+    client: Client,
+    task: TaskName,
     last: Annotated[int, typer.Option("--last", "-n", min=1, help="How many of the newest.")] = 10,
     worst: Annotated[
         bool, typer.Option("--worst", help="As many of those of highest cost instead; reads all trials.")
     ] = False,
     ids: Annotated[list[str] | None, typer.Option("--id", metavar="UUID", help="One trial; may be repeated.")] = None,
-    connect: Connect = None,
-    timeout: Timeout = 10.0,
-    zenoh_config: ZenohConfig = None,
     as_json: Json = False,
 ) -> None:
     """List stored trials with their ids, as they are after all corrections.
@@ -37,13 +33,12 @@ def trials(
     Example: crkr trials throw --last 10
     """
     wanted = parse_ids(ids) if ids else None
-    with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
-        handle = client.task(task)
-        if wanted is not None:
-            found = handle.trials(id=wanted)
-        else:
-            found = handle.trials(worst=last) if worst else handle.trials(last=last)
-        spec = handle.spec
+    handle = client.task(task)
+    if wanted is not None:
+        found = handle.trials(id=wanted)
+    else:
+        found = handle.trials(worst=last) if worst else handle.trials(last=last)
+    spec = handle.spec
     if as_json:
         print_json([one.to_wire() for one in found])
         return
@@ -56,8 +51,10 @@ def trials(
             stdout.print(line)
 
 
+@connected(10.0)
 def amend(
-    task: _Task,
+    client: Client,
+    task: TaskName,
     ids: Annotated[list[str], typer.Argument(metavar="ID...", help="Ids of the trials, from `crkr trials`.")],
     success: Annotated[
         bool | None, typer.Option("--success/--failure", "--hit/--miss", help="Whether it did what was wanted.")
@@ -71,10 +68,7 @@ def amend(
         bool | None, typer.Option("--learn/--ignore", help="Whether goals may be learned from it.")
     ] = None,
     restore: Annotated[bool, typer.Option("--restore", help="Learn from removed trials again.")] = False,
-    reason: _Reason = "",
-    connect: Connect = None,
-    timeout: Timeout = 10.0,
-    zenoh_config: ZenohConfig = None,
+    reason: Reason = "",
     as_json: Json = False,
 ) -> None:
     """Correct what stored trials came to; the log keeps what was reported.
@@ -83,30 +77,27 @@ def amend(
     """
     measured = None if outcome is None else parse_vector(outcome, "--outcome")
     named = parse_ids(ids)
-    with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
-        answer = client.task(task).amend(
-            named, success=success, cost=cost, outcome=measured, kind=kind, learn=learn, restore=restore, reason=reason
-        )
+    answer = client.task(task).amend(
+        named, success=success, cost=cost, outcome=measured, kind=kind, learn=learn, restore=restore, reason=reason
+    )
     show_answer(answer, as_json)
 
 
+@connected(10.0)
 def undo(
-    task: _Task,
+    client: Client,
+    task: TaskName,
     worker: Annotated[
         str | None, typer.Option("--worker", help="Trials of this worker, instead of those reported by hand.")
     ] = None,
-    reason: _Reason = "",
-    connect: Connect = None,
-    timeout: Timeout = 10.0,
-    zenoh_config: ZenohConfig = None,
+    reason: Reason = "",
     as_json: Json = False,
 ) -> None:
     """Take back the newest correction, or the newest trial reported by hand; again goes one step further back.
 
     Example: crkr undo throw
     """
-    with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
-        answer = client.task(task).undo(worker=worker, reason=reason)
+    answer = client.task(task).undo(worker=worker, reason=reason)
     if as_json:
         print_json(answer)
         return

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from crkr.client.cli.console import print_json, stderr, stdout
-from crkr.client.cli.options import Connect, Json, Timeout, ZenohConfig
+from crkr.client.cli.options import Json, TaskName, connected
 
 if TYPE_CHECKING:
-    from crkr.client import Task
+    from crkr.client import Client, Task
 
 __all__ = ["OldContexts", "evaluate"]
 
@@ -30,8 +30,10 @@ OldContexts = Annotated[
 ]
 
 
+@connected(30.0)
 def evaluate(
-    task: Annotated[str, typer.Argument(help="Name of the task.")],
+    client: Client,
+    task: TaskName,
     skill: Annotated[
         str | None,
         typer.Option(help="Skill that executes the goals; the one that the task was made for unless given."),
@@ -44,9 +46,6 @@ def evaluate(
     record: Annotated[bool, typer.Option("--record", help="Store the trials as evaluations.")] = False,
     oracle: Annotated[bool, typer.Option(help="Compare with the skill's planner, if it has one.")] = True,
     jobs: Annotated[int, typer.Option(min=1, max=256, help="Number of processes.")] = 2,
-    connect: Connect = None,
-    timeout: Timeout = 30.0,
-    zenoh_config: ZenohConfig = None,
     json: Json = False,
 ) -> None:
     """Measure how good a task's policy is on fresh contexts, without exploration.
@@ -59,7 +58,6 @@ def evaluate(
     """
     import numpy as np
 
-    from crkr.client import Client
     from crkr.client.cli.progress import Progress
     from crkr.sim_worker.evaluation import assessment
     from crkr.sim_worker.guarded_skill import GuardedSkill
@@ -68,35 +66,34 @@ def evaluate(
 
     contexts = balls or contexts
     options = SkillOptions(environment=environment, launcher=launcher, name=task)
-    with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
-        judged = client.task(task)
-        name = skill or skill_of(judged.spec) or task
-        player = load_skill(name, options)
-        chosen = options_in_force(player, options)
-        answers = assessment.ask(judged, GuardedSkill(player), contexts, seed)
-        goals = np.concatenate([answer.goals for answer in answers])
-        with Progress(stderr, "evaluating", contexts, "contexts") as progress:
-            played = assessment.play(
-                name, options, goals, seed, jobs=min(jobs, contexts), oracle=oracle, show=progress.show
-            )
-        score = assessment.Assessment()
-        for one in played:
-            score.add(one)
-        source = f"{chosen.environment or 'default'}/{chosen.launcher or 'default'}"
-        stored = assessment.record(judged, answers, played, seed, source) if record else 0
-        result = {
-            "task": task,
-            **score.to_dict(),
-            "contexts": contexts,
-            "balls": contexts,  # the old name, for one release
-            "seed": seed,
-            "environment": chosen.environment,
-            "launcher": chosen.launcher,
-            "before_learning": _before(judged),
-            "model_version": answers[0].model_version,
-            "active": answers[0].active,
-            "recorded": stored,
-        }
+    judged = client.task(task)
+    name = skill or skill_of(judged.spec) or task
+    player = load_skill(name, options)
+    chosen = options_in_force(player, options)
+    answers = assessment.ask(judged, GuardedSkill(player), contexts, seed)
+    goals = np.concatenate([answer.goals for answer in answers])
+    with Progress(stderr, "evaluating", contexts, "contexts") as progress:
+        played = assessment.play(
+            name, options, goals, seed, jobs=min(jobs, contexts), oracle=oracle, show=progress.show
+        )
+    score = assessment.Assessment()
+    for one in played:
+        score.add(one)
+    source = f"{chosen.environment or 'default'}/{chosen.launcher or 'default'}"
+    stored = assessment.record(judged, answers, played, seed, source) if record else 0
+    result = {
+        "task": task,
+        **score.to_dict(),
+        "contexts": contexts,
+        "balls": contexts,  # the old name, for one release
+        "seed": seed,
+        "environment": chosen.environment,
+        "launcher": chosen.launcher,
+        "before_learning": _before(judged),
+        "model_version": answers[0].model_version,
+        "active": answers[0].active,
+        "recorded": stored,
+    }
     if json:
         print_json(result)
     else:

@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from crkr.client.cli.console import stderr
-from crkr.client.cli.options import Connect, Overwrite, Timeout, ZenohConfig
+from crkr.client.cli.options import Overwrite, TaskName, connected
+
+if TYPE_CHECKING:
+    from crkr.client import Client
 
 __all__ = ["policy"]
 
 
+@connected(5.0)
 def policy(
-    task: Annotated[str, typer.Argument(help="Name of the task.")],
+    client: Client,
+    task: TaskName,
     vary: Annotated[
         str | None, typer.Option(help="State coordinate to vary, e.g. ball_y; the first unless given.")
     ] = None,
@@ -26,9 +31,6 @@ def policy(
     state: Annotated[str | None, typer.Option(help="The other coordinates, in quotes; mid-range unless given.")] = None,
     overwrite: Overwrite = False,
     points: Annotated[int, typer.Option(min=2, max=1000, help="Number of values.")] = 31,
-    connect: Connect = None,
-    timeout: Timeout = 5.0,
-    zenoh_config: ZenohConfig = None,
 ) -> None:
     """Draw what a task's policy answers while one coordinate of the state varies.
 
@@ -38,7 +40,6 @@ def policy(
 
     Example: crkr plot policy table-tennis --vary ball_y --out policy.png
     """
-    from crkr.client import Client
     from crkr.client.cli.options import parse_vector
     from crkr.sim_worker.figure import check_figure
     from crkr.sim_worker.pictures.policy_figure import draw_policy, varied
@@ -46,11 +47,10 @@ def policy(
     from crkr.sim_worker.skill_registry import load_skill, skill_of
 
     check_figure(out, overwrite=overwrite)
-    with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:
-        asked = client.task(task)
-        vary = vary or asked.spec.state[0].name
-        index, states = varied(asked.spec, vary, points, None if state is None else parse_vector(state, "--state"))
-        answer = asked.predict(states)
+    asked = client.task(task)
+    vary = vary or asked.spec.state[0].name
+    index, states = varied(asked.spec, vary, points, None if state is None else parse_vector(state, "--state"))
+    answer = asked.predict(states)
     name = skill or skill_of(asked.spec)
     draw_policy(asked.spec, index, answer, None if name is None else load_skill(name, SkillOptions()), out)
     stderr.print(f"{out}: {points} values of {vary}, model version {answer.model_version}")

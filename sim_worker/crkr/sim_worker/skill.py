@@ -63,6 +63,7 @@ class SkillOptions:
         preset: The task specification, e.g. "tuned".
         name: Name of the task; None is the skill's own name.
         seed: Seed of the task's exploration draws.
+        traces: Whether results tell the motion; experiments do without, which saves a skill time.
     """
 
     environment: str | None = None
@@ -70,6 +71,7 @@ class SkillOptions:
     preset: str | None = None
     name: str | None = None
     seed: int = 0
+    traces: bool = True
 
     def applied_to(self, spec: TaskSpec) -> TaskSpec:
         """A skill's specification with the name and the seed that are asked for."""

@@ -210,7 +210,7 @@ def test_a_trace_shows_the_swing_and_the_ball_until_it_lands(
 
 def test_without_traces_trials_are_the_same(played: tuple[TableTennis, np.ndarray, np.ndarray]) -> None:
     skill, ball, goal = played
-    bare = TableTennis(SkillOptions(), traces=False).attempt(ball, goal)
+    bare = TableTennis(SkillOptions(traces=False)).attempt(ball, goal)
     assert bare.trace is None
     assert bare.cost == skill.attempt(ball, goal).cost
 

@@ -165,7 +165,7 @@ def _epochs(
         label: Course(trials, balls, _JUDGE, _DEMONSTRATIONS, marks, _EPOCH, tuple(changes.items()))
         for label, changes in settings.items()
     }
-    options = SkillOptions(environment=environment, preset="paper")
+    options = SkillOptions(environment=environment, preset="paper", traces=False)
     parts = [(course, seed) for course in courses.values() for seed in chosen]
     path, numbers = _file(out, f"{name}.png", overwrite), _file(out, f"{name}.json", overwrite)
     runs = learn_many("table-tennis", options, parts, jobs)

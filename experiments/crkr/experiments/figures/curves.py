@@ -12,7 +12,7 @@ import numpy as np
 from crkr.experiments.learning.run import LearningRun
 from crkr.sim_worker.figure import new_figure, save_figure
 
-__all__ = ["draw_epochs", "draw_learning", "draw_summaries"]
+__all__ = ["draw_epochs", "draw_gains", "draw_learning", "draw_summaries"]
 
 COLOURS: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")  # the colour-blind can tell them
 EARLY: Final = 50  # trials up to which the horizontal axis is linear
@@ -115,4 +115,28 @@ def draw_summaries(table: Sequence[Mapping[str, Any]], title: str, path: Path) -
     axes.set_xticks([], minor=True)
     axes.grid(alpha=0.3)
     axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize="small")
+    save_figure(figure, path)
+
+
+def draw_gains(gains: Mapping[str, tuple[float, float, float]], title: str, path: Path) -> None:
+    """Save the gain of each way over what it is compared with, and its 95 % interval.
+
+    Args:
+        gains: Name -> gain in success rate and the ends of its interval, from top to bottom.
+        title: Of the figure.
+        path: E.g. ablation.png.
+    """
+    figure = new_figure(7.0, 0.9 + 0.24 * len(gains))
+    axes = figure.add_subplot()
+    mean, low, high = np.array(list(gains.values())).T
+    rows = np.arange(len(gains))
+    apart = (low > 0) | (high < 0)
+    for chosen, colour in ((~apart, "0.55"), (apart, COLOURS[0])):
+        reach = np.maximum([mean - low, high - mean], 0)[:, chosen]
+        axes.errorbar(mean[chosen], rows[chosen], xerr=reach, color=colour, fmt="o", markersize=4, capsize=2)
+    axes.axvline(0.0, color="0.3", linewidth=0.8)
+    axes.set(title=title, xlabel="gain in success rate, 95 % interval; grey where it includes 0")
+    axes.set_yticks(rows, list(gains))
+    axes.invert_yaxis()
+    axes.grid(alpha=0.3)
     save_figure(figure, path)

@@ -54,7 +54,7 @@ def learning(
         out.mkdir(parents=True, exist_ok=True)
         for name in _FILES:
             check_output(out / name, overwrite=overwrite)
-    options = SkillOptions(environment=environment, launcher=launcher, preset=preset)
+    options = SkillOptions(environment=environment, launcher=launcher, preset=preset, traces=False)
     course = Course(trials, balls, judge, demonstrations, MARKS if out is not None else ())
     runs = learn_many(skill, options, [(course, seed) for seed in range(first_seed, first_seed + seeds)], jobs, on)
     planner = _planner(skill, options, course, jobs) if oracle else {}

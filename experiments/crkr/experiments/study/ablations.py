@@ -170,6 +170,7 @@ ABLATIONS: Final[Mapping[str, Ablation]] = {
     "bias of half a tolerance": Ablation(told=_disturbed(0.0, 0.5)),
     "noise and bias": Ablation(told=_disturbed(1.0, 0.5)),
     "straight line": _guided(model="line"),
+    "quadratic": _guided(model="quadratic"),
     "nothing of refusals": Ablation(told=_executed),
     "refusals without outcome": Ablation(told=_bare_refusal),
     "no candidates": _guided(candidates=0),

@@ -90,7 +90,7 @@ def study(
     }  # fmt: skip
     chosen = range(first_seed, first_seed + seeds)
     rows, marks = _run("study.csv", settings, ways, chosen, trials, (jobs, on, out))
-    table = _shown(rows, marks, rivals, settings, as_json=json)
+    table = _shown(rows, marks, rivals, settings, out and out / "study.png", as_json=json)
     if json:
         print_json(table)
     elif len(grid) > 1:
@@ -133,7 +133,7 @@ def ablation(
     }  # fmt: skip
     chosen = range(first_seed, first_seed + seeds)
     rows, marks = _run("ablation.csv", settings, ways, chosen, trials, (jobs, on, out))
-    table = _shown(rows, marks, dict.fromkeys(ways, WHOLE), settings, as_json=json)
+    table = _shown(rows, marks, dict.fromkeys(ways, WHOLE), settings, out and out / "ablation.png", as_json=json)
     if json:
         print_json(table)
 
@@ -159,7 +159,7 @@ def _run(
     contest = Contest(marks, *judged)
     rows = Rows(out, file, settings)
     parts = [(contest, name, ways[name], seed) for name, seed in rows.missing(ways, seeds, trials)]
-    options = SkillOptions(**{name: settings[name] for name in ("environment", "launcher", "preset")})
+    options = SkillOptions(settings["environment"], settings["launcher"], settings["preset"], traces=False)
     with Progress(stderr, "learning", len(parts), "runs") as progress:
         spread = load_places(on).spread(settings["skill"], options, _learn, parts, jobs) if parts else iter(())
         for done, found in enumerate(spread, 1):
@@ -177,25 +177,34 @@ def _learn(skill: Skill, part: tuple[Contest, str, Callable[[TaskSpec, int], Riv
 
 
 def _shown(
-    rows: Rows, marks: tuple[int, ...], rivals: Mapping[str, str], settings: Mapping[str, Any], *, as_json: bool
+    rows: Rows,
+    marks: tuple[int, ...],
+    rivals: Mapping[str, str],
+    settings: Mapping[str, Any],
+    figure: Path | None,
+    *,
+    as_json: bool,
 ) -> list[dict[str, Any]]:
-    """The table of all ways, each beside its rival; printed unless it is wanted as JSON."""
+    """The table of all ways, each beside its rival; printed unless it is wanted as JSON, and drawn."""
+    from crkr.experiments.figures.curves import draw_gains
     from crkr.experiments.study.rows import compare, print_summary, summary_table
 
     table = summary_table(rows.all, rivals, marks)
-    beside = {way: compare(rows.all, [(way, rival)], marks[-1]) for way, rival in rivals.items() if way != rival}
-    area = {
-        way: compare(rows.all, [(way, rival)], marks[-1], area=True) for way, rival in rivals.items() if way != rival
-    }
+    pairs = {way: [(way, rival)] for way, rival in rivals.items() if way != rival}
+    last = {way: compare(rows.all, pair, marks[-1]) for way, pair in pairs.items()}
+    area = {way: compare(rows.all, pair, marks[-1], area=True) for way, pair in pairs.items()}
+    gains = {way: found.gain for way, found in last.items() if found is not None}
+    title = ", ".join(str(settings[name]) for name in ("skill", "launcher", "environment", "preset") if settings[name])
+    if figure is not None and gains:
+        draw_gains(gains, f"{title}: after {marks[-1]} trials", figure)
     if not as_json:
-        title = ", ".join(f"{name} {value}" for name, value in settings.items() if value is not None)
         extra = {
-            "gain": lambda way: _cell(beside.get(way), "gain"),
-            "P(better)": lambda way: _cell(beside.get(way), "better"),
+            "gain": lambda way: _cell(last.get(way), "gain"),
+            "P(better)": lambda way: _cell(last.get(way), "better"),
             "gain in area": lambda way: _cell(area.get(way), "gain"),
         }
-        print_summary(table, marks[-3:], title, extra)
-    return [{**row, "beside": beside.get(row["way"]), "area": area.get(row["way"])} for row in table]
+        print_summary(table, marks, f"{title}, {settings['contexts']} contexts", extra)
+    return [{**row, "beside": last.get(row["way"]), "area": area.get(row["way"])} for row in table]
 
 
 def _cell(found: Comparison | None, field: str) -> str:

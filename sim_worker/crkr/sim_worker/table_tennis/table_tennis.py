@@ -81,7 +81,7 @@ class TableTennis(ArmSkill):
         self._obstacles = "the table, the net or itself" if cautious else "the table or the net"
         self._planner: Planner | None = None
         self._predictor: Predictor | None = None
-        self._traces = traces
+        self._traces = traces and options.traces
         self.diverged = 0  # trials whose simulation failed
         if profiled:
             self._primitive = Primitive(self._primitive.limits, self._recorded_profile())

@@ -61,7 +61,7 @@ class Throw(ArmSkill):
         self._environment = make_environment(name, self._arm, self._simulation)
         self._check = make_check(self._arm)
         self._planner = Planner(self._arm, self._primitive.limits)
-        self._traces = traces
+        self._traces = traces and options.traces
 
     def execute(self, goal: Floats) -> TrialResult:
         """Throws in the situation of the last `reset`.

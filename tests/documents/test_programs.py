@@ -12,6 +12,7 @@ from typing import Any
 import nbclient
 import nbformat
 import pytest
+from PIL import Image
 from typer.main import get_command
 
 from crkr.client.cli.subcommands import build
@@ -25,13 +26,18 @@ def blocks(page: Path, language: str) -> list[str]:
     return re.findall(rf"```{language}\n(.*?)```", page.read_text(), re.DOTALL)
 
 
+def commands(block: str) -> Iterator[list[str]]:
+    """Words of each `crkr` command of a shell block."""
+    for line in block.replace("\\\n", " ").splitlines():
+        words = shlex.split(line, comments=True)
+        if words[:1] == ["crkr"]:
+            yield words[1:]
+
+
 def crkr_lines(page: Path) -> Iterator[list[str]]:
     """Words of each `crkr` command of a page's shell blocks."""
     for block in blocks(page, "sh"):
-        for line in block.replace("\\\n", " ").splitlines():
-            words = shlex.split(line, comments=True)
-            if words[:1] == ["crkr"]:
-                yield words[1:]
+        yield from commands(block)
 
 
 def crkr(*words: str, folder: Path, endpoint: str) -> subprocess.CompletedProcess[str]:
@@ -44,21 +50,29 @@ def test_the_tutorial_leads_from_nothing_to_a_learned_skill_and_its_page(server:
     tutorial = REPOSITORY / "docs" / "tutorial.md"
     (skill,) = blocks(tutorial, "python")
     assert len([line for line in skill.splitlines() if line.strip()]) <= 40
-    (tmp_path / "my_robot.py").write_text(skill)
     told: dict[str, str] = {}
-    for words in crkr_lines(tutorial):
-        if words[0] in ("server", "watch"):  # the fixture's, and a viewer
+    for language, block in re.findall(r"```(\w+)\n(.*?)```", tutorial.read_text(), re.DOTALL):
+        if language != "sh":
+            (tmp_path / {"toml": "my_robot.toml", "python": "my_robot.py"}[language]).write_text(block)
             continue
-        done = crkr(*words, folder=tmp_path, endpoint=server.endpoint)
-        assert done.returncode == 0, (words, done.stderr)
-        assert "Traceback" not in done.stderr
-        told.setdefault(words[0], done.stdout)
+        for words in commands(block):
+            if words[0] in ("server", "watch"):  # the fixture's, and a viewer
+                continue
+            done = crkr(*words, folder=tmp_path, endpoint=server.endpoint)
+            assert done.returncode == 0, (words, done.stderr)
+            assert "Traceback" not in done.stderr
+            assert not re.search(r"^(warning|problem)", done.stdout, re.MULTILINE), done.stdout
+            told[words[0]] = done.stdout + done.stderr
+    assert next(iter(told)) == "new"
     success = re.search(r"success +([\d.]+)%", told["evaluate"])
     assert success is not None
     assert float(success[1]) >= 90.0
-    assert "too_far" in told["predict"]
+    assert "outside its box" in told["predict"]
+    with Image.open(tmp_path / "film.gif") as film:
+        assert getattr(film, "n_frames", 1) > 5
     page = (tmp_path / "report.html").read_text()
     assert "my-robot" in page
+    assert "Worst trial" in page
 
 
 def test_a_person_labels_a_robots_trials(

@@ -138,8 +138,10 @@ def _trials(skill: GuardedSkill, spec: TaskSpec, seed: int) -> Iterator[Remark]:
     refused = Counter(str(one.info.get("reason", "no reason")) for one in results if not one.executed)
     if refused and not faults:
         told = ", ".join(f"{reason} {count}" for reason, count in refused.most_common(3))
-        level = "warning" if len(executed) < len(goals) / 4 else "ok"
-        yield Remark(level, "execute", f"{sum(refused.values())} of {len(goals)} random goals are refused: {told}")
+        few = len(executed) >= 2 / 3 * len(goals)
+        advice = "" if few else "; narrow the goal's bounds to what can be tried"
+        told = f"{sum(refused.values())} of {len(goals)} random goals are refused: {told}{advice}"
+        yield Remark("ok" if few else "warning", "execute", told)
     if executed:
         hits = sum(one.success for one in executed)
         yield Remark("ok", "execute", f"{len(executed)} trials, {hits} of them successes, {each_ms:.1f} ms each")

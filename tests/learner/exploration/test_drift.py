@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from crkr.learner import Learner
-from crkr.protocol import Array, TaskSpec, training_id
+from crkr.protocol import Array, TaskSpec, Trial, training_id
 
 MakeSpec = Callable[..., TaskSpec]
 
@@ -57,11 +57,38 @@ def test_a_changed_robot_is_noticed_and_learned_anew(spec: TaskSpec) -> None:
     learner = Learner(spec)
     train(learner, 0, 200)
     assert rate(learner, 0.6) < 0.3
-    train(learner, 200, 60, shift=0.6)
+    train(learner, 200, 20, shift=0.6)
     assert learner.drift is not None
     assert learner.drift.restarts == 1
     assert rate(learner, 0.6) > 0.95
     assert learner.active_ids  # what succeeded before is kept
+
+
+def test_a_changed_robot_is_the_same_learned_at_once_or_step_by_step(make_spec: MakeSpec, spec: TaskSpec) -> None:
+    learner = Learner(spec)
+    train(learner, 0, 200)
+    train(learner, 200, 30, shift=0.6)
+    assert learner.drift is not None
+    restart = learner.drift.last_seq
+    assert restart is not None
+    known = learner.history
+    trials = [
+        Trial(
+            training_id("t", 0, 1, row), state, goal, 0.1, bool((np.abs(outcome) < TOLERANCE).all()), "trial", outcome
+        )
+        for row, (state, goal, outcome) in enumerate(zip(known.states, known.goals, known.outcomes, strict=True))
+    ]
+    again = Learner(spec)
+    with again.bulk():
+        again.apply_trials(range(2, restart), trials[: restart - 2])
+        again.apply_restart(restart)
+        again.apply_trials(range(restart + 1, 233), trials[restart - 2 :])
+    for told in (learner, again):
+        told.remove([training_id("t", 0, 1, 7), training_id("t", 0, 1, 205)])
+    states = np.random.default_rng(3).uniform(-0.5, 0.5, (20, 2))
+    for name in ("goals", "predicted_outcome", "predicted_outcome_sd"):
+        expected, found = (getattr(told.predict(states), name) for told in (learner, again))
+        np.testing.assert_array_equal(found, expected)
 
 
 def test_no_model_restarts_where_that_is_turned_off(make_spec: MakeSpec, spec: TaskSpec) -> None:

@@ -43,9 +43,25 @@ def test_expectations_and_variances_are_the_textbooks() -> None:
     np.testing.assert_allclose(sd2[0], (variance + KERNEL.noise)[:, None] * amplitude, rtol=1e-8)
 
 
-def test_slopes_are_the_differences_of_the_expectations() -> None:
+def test_a_changed_robot_does_what_it_did_plus_a_process_of_its_own() -> None:
+    [D], [Y] = neighbours(1)
+    steps, former = np.random.default_rng(1).normal(size=(5, P)), 12
+    as_it_is = np.arange(K) < K - former
+    K_both = k(D, D) + KERNEL.change * np.where(np.outer(as_it_is, as_it_is), k(D, D), 0.0)
+    inverse = np.linalg.inv(K_both + KERNEL.noise * np.eye(K))
+    cross = k(whole(steps), D) * (1.0 + KERNEL.change * as_it_is)
+    prior = (1.0 + KERNEL.change) * k(whole(steps), whole(steps)).diagonal()
+    amplitude = (np.einsum("km,kl,lm->m", Y, inverse, Y) + 10) / (K + 10)
+    variance = prior - np.einsum("ck,kl,cl->c", cross, inverse, cross)
+    mean, sd2 = LocalGP.fit(KERNEL, D[None], Y[None], P, former=former).at(steps[None])
+    np.testing.assert_allclose(mean[0], cross @ inverse @ Y, rtol=1e-9)
+    np.testing.assert_allclose(sd2[0], (variance + KERNEL.noise)[:, None] * amplitude, rtol=1e-8)
+
+
+@pytest.mark.parametrize("former", [0, 12, K])
+def test_slopes_are_the_differences_of_the_expectations(former: int) -> None:
     D, Y = neighbours(3)
-    fit = LocalGP.fit(KERNEL, D, Y, P)
+    fit = LocalGP.fit(KERNEL, D, Y, P, former=former)
     at, h = np.random.default_rng(3).normal(size=(3, P)), 1e-5
     slope = fit.slope(at)
     for axis in range(P):

@@ -69,9 +69,32 @@ def test_removed_trials_are_searched_no_more(make_spec: MakeSpec) -> None:
     assert index.holds(98)
     assert index.holds(4)
     assert index.holds(99)  # it was tried, though not observed
-    index.rebuild(index.usable(np.arange(len(store))))
+    index.rebuild()
     np.testing.assert_allclose(found(index), observed([*range(4), *range(5, 97), 99]))
     np.testing.assert_array_equal(before.Y, kept)
+
+
+def test_the_trials_before_a_change_are_kept_apart_until_enough_came_since(make_spec: MakeSpec) -> None:
+    store, index = filled(make_spec(outcome=OUTCOME), 100)
+    index.restart(3)
+    store.remove(4)
+    index.rebuild()
+    assert index.holds(5)
+    np.testing.assert_allclose(found(index), observed([97, 98, 99]))
+    former = index.snapshot().former
+    assert former is not None
+    np.testing.assert_allclose(former.Y[:, 0] * 0.5 + 1.0, observed([*range(4), *range(5, 97)]))
+    assert index.snapshot().enough(90) == ()
+    assert index.snapshot().enough(60) == (0,)
+    for number in range(100, 600):
+        index.extend(np.array([store.append(number + 2, a_trial(number))]))
+    assert index.before(100).former is former
+    assert index.snapshot().former is None
+    index.restart(3)
+    index.rebuild()
+    former = index.snapshot().former
+    assert former is not None
+    assert len(former) == 500  # what came before the first change is of no use any more
 
 
 def test_a_snapshot_stays_while_trials_come(make_spec: MakeSpec) -> None:
@@ -137,7 +160,7 @@ def test_many_trials_have_the_same_neighbours_however_they_came(make_spec: MakeS
     _, at_once = followed(spec, [count])
     store, in_turn = followed(spec, [10_000] + [500] * ((count - 10_000) // 500) + [(count - 10_000) % 500])
     restored = OutcomeIndex(OutcomeScales.of(spec), store)
-    restored.rebuild(np.arange(count))
+    restored.rebuild()
     for group in (0, 1, 2):
         assert neighbours(at_once.snapshot(), group) == neighbours(in_turn.snapshot(), group)
         assert neighbours(at_once.snapshot(), group) == neighbours(restored.snapshot(), group)

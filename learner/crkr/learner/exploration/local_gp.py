@@ -38,6 +38,7 @@ class StepKernel:
         bend: Of what is not straight.
         reach: Over which it bends, in the metric.
         noise: Variance of one observation.
+        change: Of what a changed robot does otherwise, as a share of the prior variance of what it did before.
     """
 
     constant: float
@@ -45,6 +46,7 @@ class StepKernel:
     bend: float
     reach: float
     noise: float
+    change: float = 0.5
 
 
 @final
@@ -59,6 +61,7 @@ class LocalGP:
         alpha: (b, k, m).
         factors: b matrices (k, k), L below the diagonal and anything above.
         amplitude: (b, m) by which the prior's variances are multiplied for each entry.
+        former: How many of the neighbours, the last ones, are of the robot before it changed.
     """
 
     kernel: StepKernel
@@ -67,13 +70,17 @@ class LocalGP:
     alpha: Array
     factors: tuple[Array, ...]
     amplitude: Array
+    former: int = 0
 
     @classmethod
-    def fit(cls, kernel: StepKernel, D: Array, Y: Array, p: int, noise: Array | None = None) -> LocalGP:
+    def fit(
+        cls, kernel: StepKernel, D: Array, Y: Array, p: int, noise: Array | None = None, former: int = 0
+    ) -> LocalGP:
         """Regression on the neighbours of each point.
 
         The prior is scaled for each entry by the evidence-maximising amplitude, drawn towards 1 as if by ten more
-        trials.
+        trials. What a changed robot does is what it did before, plus a process of the same kernel: trials of both teach
+        it [Bonilla2007].
 
         Args:
             kernel: The prior.
@@ -81,6 +88,7 @@ class LocalGP:
             Y: (b, k, m) what was observed.
             p: How many of the r coordinates, at the end, are the goal's.
             noise: (b, k) variance of each observation; None: the kernel's.
+            former: How many of the neighbours, at the end, are of the robot before it changed.
         """
         squares = np.vecdot(D, D)
         if squares.max() > _FARTHEST**2:
@@ -88,6 +96,8 @@ class LocalGP:
             squares = np.vecdot(D, D)
         K = _kernel(kernel, D @ D.swapaxes(1, 2), squares, squares)
         k = K.shape[1]
+        if former:
+            K[:, : k - former, : k - former] *= 1.0 + kernel.change
         diagonal = K.reshape(len(K), -1)[:, :: k + 1]
         diagonal += kernel.noise if noise is None else noise
         alpha, fitted = np.empty((2, *Y.shape))
@@ -99,7 +109,7 @@ class LocalGP:
             fitted[row] = W
             alpha[row] = blas.dtrsm(1.0, L, W, lower=1, trans_a=1, overwrite_b=1)
         amplitude = ((fitted * fitted).sum(axis=1) + _PRIOR_TRIALS) / (k + _PRIOR_TRIALS)
-        return cls(kernel, D[..., -p:], squares, alpha, tuple(factors), amplitude)
+        return cls(kernel, D[..., -p:], squares, alpha, tuple(factors), amplitude, former)
 
     def mean(self, steps: Array) -> Array:
         """(b, c, m) expectations at steps (b, c, p)."""
@@ -113,6 +123,8 @@ class LocalGP:
             blas.dtrsm(1.0, L, one.T, lower=1, overwrite_b=1)
         own = self.kernel
         prior = own.constant + own.bend + own.linear * lengths
+        if self.former:
+            prior *= 1.0 + own.change
         rest = np.maximum(prior - np.vecdot(cross, cross), 0.0) + own.noise
         return mean, rest[..., None] * self.amplitude[:, None]
 
@@ -122,21 +134,28 @@ class LocalGP:
         bend = (self.D @ step[..., None])[..., 0]
         bend -= 0.5 * (self.squares + np.vecdot(step, step)[:, None])
         bend = own.bend / own.reach**2 * np.exp(bend / own.reach**2)
-        weighted = self.alpha * (own.linear + bend)[..., None]
+        bend, linear = self._with_change(bend), self._with_change(np.full_like(bend, own.linear))
+        weighted = self.alpha * (linear + bend)[..., None]
         pull = (self.alpha * bend[..., None]).sum(axis=1)
         return np.asarray(weighted.swapaxes(1, 2) @ self.D - pull[..., None] * step[:, None])
 
     def of(self, which: Indices) -> LocalGP:
         """That near some of the points."""
         factors = tuple(self.factors[point] for point in which.tolist())
-        return LocalGP(
-            self.kernel, self.D[which], self.squares[which], self.alpha[which], factors, self.amplitude[which]
-        )
+        parts = (self.D[which], self.squares[which], self.alpha[which], factors, self.amplitude[which])
+        return LocalGP(self.kernel, *parts, self.former)
 
     def _cross(self, steps: Array) -> tuple[Array, Array]:
         """Kernel (b, c, k) between steps and neighbours, and the steps' squared lengths (b, c)."""
         lengths = np.vecdot(steps, steps)
-        return _kernel(self.kernel, steps @ self.D.swapaxes(1, 2), lengths, self.squares), lengths
+        cross = _kernel(self.kernel, steps @ self.D.swapaxes(1, 2), lengths, self.squares)
+        return self._with_change(cross), lengths
+
+    def _with_change(self, cross: Array) -> Array:
+        """Covariances (b, ..., k) with the neighbours, more of it with those of the robot as it is; in place."""
+        if self.former:
+            cross[..., : cross.shape[-1] - self.former] *= 1.0 + self.kernel.change
+        return cross
 
 
 def _kernel(kernel: StepKernel, dots: Array, left: Array, right: Array) -> Array:

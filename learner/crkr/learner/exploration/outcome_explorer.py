@@ -109,7 +109,8 @@ class OutcomeExplorer:
 
         A trial counts by its squared outcome, by how far its state is, and against it by what was not observed.
         """
-        trials, d = self.trials.newest(), self.trials.X.shape[1] - len(self.scales.scales)
+        known = self.trials if len(self.trials) or self.trials.former is None else self.trials.former
+        trials, d = known.newest(), self.trials.X.shape[1] - len(self.scales.scales)
         entries = np.concatenate([self.scales.groups[group] for group in self.groups])
         o = trials.Y[:, entries]
         o = np.where(self.scales.one_sided[entries] * o > 0, 0.0, o)

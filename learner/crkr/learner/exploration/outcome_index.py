@@ -27,6 +27,7 @@ __all__ = ["LARGEST_SINGLE", "SEARCHED", "ObservedTrials", "OutcomeIndex", "in_s
 
 SEARCHED: Final = 12_288
 _UNSEALED: Final = SEARCHED - UNIT  # newest trials that are not sealed, at least
+_REPLACED: Final = 400  # trials after a change, from which on those before are of no use
 LARGEST_SINGLE: Final = 1e30  # squared length up to which distances are compared in single precision
 _ALIGNED: Final = 4  # numbers of a row, by which matrix products go through it fastest
 
@@ -50,6 +51,7 @@ class ObservedTrials:
         any_refused: Whether any was.
         success: (n,) which did what was wanted.
         shown: (n,) which are demonstrations.
+        former: The trials of the robot before it changed; None: it has not, or enough came since.
     """
 
     X: Array
@@ -63,6 +65,7 @@ class ObservedTrials:
     any_refused: bool
     success: NDArray[np.bool_]
     shown: NDArray[np.bool_]
+    former: ObservedTrials | None = None
 
     @classmethod
     def of(
@@ -77,6 +80,7 @@ class ObservedTrials:
         shown: NDArray[np.bool_],
         sealed: SealedTrials | None = None,
         before: tuple[Sequence[int], int] | None = None,
+        former: ObservedTrials | None = None,
     ) -> ObservedTrials:
         """Those of which `hidden` says where a group is hidden; the arrays become read-only.
 
@@ -92,7 +96,8 @@ class ObservedTrials:
         partly = (own if new + old else None for own, new, old in zip(hidden, newly, old_hidden, strict=True))
         any_refused = old_refused > 0 or bool(refused[first:].any())
         counts = (*(len(single) - new for new in newly), len(single))
-        return cls(X, single, fits_single, Y, sealed, counts, (*partly, None), refused, any_refused, success, shown)
+        same = (refused, any_refused, success, shown, former)
+        return cls(X, single, fits_single, Y, sealed, counts, (*partly, None), *same)
 
     @property
     def everything(self) -> int:
@@ -103,8 +108,9 @@ class ObservedTrials:
         return len(self.X)
 
     def enough(self, least: int) -> tuple[int, ...]:
-        """The groups observed in at least `least` of the newest, unsealed trials."""
-        return tuple(group for group in range(self.everything) if self.counts[group] >= min(least, _UNSEALED))
+        """The groups observed in at least `least` of the newest, unsealed trials and the former ones."""
+        counts = self.counts if self.former is None else np.add(self.counts, self.former.counts)
+        return tuple(group for group in range(self.everything) if counts[group] >= min(least, _UNSEALED))
 
     def newest(self) -> ObservedTrials:
         """Those that are not sealed."""
@@ -142,13 +148,13 @@ class OutcomeIndex:
         scales: The task's.
         store: The trials.
 
-    Attributes:
-        start: First row of the store that counts.
+    Robots change: the trials from the row `start` on are of the robot as it is, those before of the robot as it was.
     """
 
     def __init__(self, scales: OutcomeScales, store: SampleStore) -> None:
         self._scales, self._store = scales, store
-        self.start = 0
+        self._start, self._former_start = 0, 0
+        self._former: ObservedTrials | None = None
         self._clear()
 
     def _clear(self) -> None:
@@ -197,14 +203,28 @@ class OutcomeIndex:
         return True
 
     def holds(self, row: int) -> bool:
-        """Whether a row of the store is among those at hand."""
+        """Whether a row of the store may be among those at hand."""
+        if self._former_start <= row < self._start:
+            return True
         position = int(np.searchsorted(self._rows.rows, row))
         return position < len(self._rows) and bool(self._rows.rows[position] == row)
 
-    def rebuild(self, rows: Indices) -> None:
-        """Starts again with some rows of the store."""
+    def restart(self, kept: int) -> None:
+        """All but the newest trials are of a robot that has changed; `rebuild` must follow."""
+        newest = self.usable(np.arange(len(self._store)))[-kept:]
+        if len(newest):
+            self._former_start, self._start = self._start, int(newest[0])
+
+    def rebuild(self) -> None:
+        """Starts again from the store."""
         self._clear()
-        self.extend(rows)
+        self._former = None
+        if self._start:
+            rows = np.arange(self._former_start, self._start)
+            former = OutcomeIndex(self._scales, self._store)
+            former.extend(rows[self._store.tried(rows)][-SEARCHED:])
+            self._former = former.snapshot() if len(former) else None
+        self.extend(np.arange(len(self._store)))
 
     def __len__(self) -> int:
         return len(self._rows)
@@ -226,7 +246,8 @@ class OutcomeIndex:
         hidden = [column.rows[:position] for column in self._hidden]
         refused, success, shown = (column.rows[:position] for column in (self._refused, self._success, self._shown))
         older = sealed, self._sealed_counts[units]
-        return ObservedTrials.of(X, single, self._fits_single, Y, hidden, refused, success, shown, *older)
+        former = self._former if position < _REPLACED else None
+        return ObservedTrials.of(X, single, self._fits_single, Y, hidden, refused, success, shown, *older, former)
 
     def _with_sealed(self, sealed: SealedTrials, units: int) -> SealedTrials:
         """With more units, whose counts are noted."""
@@ -239,8 +260,8 @@ class OutcomeIndex:
         return sealed.extended(self._single.rows, units, self._X.rows.shape[1])
 
     def usable(self, rows: Indices) -> Indices:
-        """Those of some rows that tell what a goal leads to, from the row `start` on."""
-        rows = rows[rows >= self.start]
+        """Those of some rows that tell what a goal leads to, of the robot as it is."""
+        rows = rows[rows >= self._start]
         return np.asarray(rows[self._store.tried(rows)])
 
 

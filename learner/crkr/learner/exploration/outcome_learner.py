@@ -24,7 +24,7 @@ from crkr.protocol import TaskSpec
 
 __all__ = ["Drift", "OutcomeLearner"]
 
-_KEPT_AT_DRIFT: Final = 8  # trials that show the change; older ones are of the robot as it was
+_KEPT_AT_DRIFT: Final = 3  # trials that show the change; older ones are of the robot as it was
 
 
 @final
@@ -93,8 +93,8 @@ class OutcomeLearner:
 
     def rebuild(self) -> None:
         """Start again from the store. What the newest trials were expected to do is worked out when it is needed."""
+        self._index.rebuild()
         usable = self._index.usable(np.arange(len(self._store)))
-        self._index.rebuild(usable)
         tried = usable[~self._store.demonstrated(usable)]
         looked_back = min(LOOKED_BACK, len(tried))
         first = int(np.searchsorted(usable, tried[-looked_back])) if looked_back else len(usable)
@@ -103,14 +103,13 @@ class OutcomeLearner:
         self._renew(self._deferred)
 
     def restart(self, seq: int, *, rebuild: bool) -> None:
-        """Forget all but the newest trials: the robot has changed.
+        """Start anew from the newest trials, and from how the robot was before: it has changed.
 
         Args:
             seq: Log position of the event.
             rebuild: Make the model anew; False where `rebuild` will be called.
         """
-        usable = self._index.usable(np.arange(len(self._store)))
-        self._index.start = int(usable[-_KEPT_AT_DRIFT:][0]) if len(usable) else 0
+        self._index.restart(_KEPT_AT_DRIFT)
         self._restarts, self._last_restart = self._restarts + 1, seq
         if rebuild:
             self.rebuild()

@@ -12,14 +12,15 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Final, final
+from typing import Any, Final, final
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import log_ndtr
 
 from crkr.learner.exploration.local_gp import LocalGP, StepKernel
 from crkr.learner.exploration.outcome_index import ObservedTrials
-from crkr.learner.exploration.outcome_neighbours import nearest
+from crkr.learner.exploration.outcome_neighbours import Neighbours, nearest
 from crkr.learner.exploration.outcome_posterior import OutcomeLine
 from crkr.learner.exploration.outcome_scales import GOAL_SHARE, OutcomeScales
 from crkr.learner.selection.anms_batch import Indices
@@ -113,12 +114,13 @@ class OutcomeModel:
         kernel = _KERNELS[settings.model]
         fits, together = [], []
         for counted, sets in _sets(trials, groups, count):
-            near = nearest(trials, x, [one[0] for one in sets], counted)
-            for one, rows, D in zip(sets, near.rows, near.D, strict=True):
+            near = _nearest(trials, x, [one[0] for one in sets], *counted)
+            for place, one in enumerate(sets):
                 entries = np.concatenate([scales.groups[group] for group in one])
-                Y = trials.Y[rows[:, :, None], entries]
+                Y = _joined([part.Y[found.rows[place][:, :, None], entries] for part, found in near])
                 noise = kernel.noise + _SHARE_OF_SIZE * np.vecdot(Y, Y) / len(entries)
-                fits.append(LocalGP.fit(kernel, D, Y, p, noise))
+                D = _joined([found.D[place] for _, found in near])
+                fits.append(LocalGP.fit(kernel, D, Y, p, noise, counted[1]))
                 together.append(entries)
         entries = np.concatenate(together)
         risky, refusals = _refusals(trials, x, p, count)
@@ -181,21 +183,48 @@ class OutcomeModel:
 def _refusals(trials: ObservedTrials, x: Array, p: int, count: int) -> tuple[Indices, LocalGP | None]:
     """Which points have a refused goal among their neighbours, and the model there."""
     nowhere = np.zeros(0, dtype=np.int64)
-    if not trials.any_refused:
+    if not any(part.any_refused for part in (trials, trials.former) if part is not None):
         return nowhere, None
-    near = nearest(trials, x, [trials.everything], min(count, len(trials)))
-    refused = trials.refused[near.rows[0]]
+    counted = _counted(trials, trials.everything, count)
+    near = _nearest(trials, x, [trials.everything], *counted)
+    refused = _joined([part.refused[found.rows[0]] for part, found in near])
     risky = np.flatnonzero(refused.any(axis=1))
     if not len(risky):
         return nowhere, None
-    return risky, LocalGP.fit(_REFUSAL, near.D[0][risky], np.where(refused[risky], _REFUSED, 0.0)[..., None], p)
+    D, y = _joined([found.D[0][risky] for _, found in near]), np.where(refused[risky], _REFUSED, 0.0)[..., None]
+    return risky, LocalGP.fit(_REFUSAL, D, y, p, former=counted[1])
 
 
-def _sets(trials: ObservedTrials, groups: Sequence[int], count: int) -> Iterable[tuple[int, list[list[int]]]]:
+def _counted(trials: ObservedTrials, group: int, count: int) -> tuple[int, int]:
+    """How many neighbours are of the robot as it is, and of it before a change: at least a half of them."""
+    newer = trials.counts[group]
+    if trials.former is None:
+        return min(count, newer), 0
+    older = min(trials.former.counts[group], max(count - newer, count // 2))
+    return min(count - older, newer), older
+
+
+def _nearest(
+    trials: ObservedTrials, x: Array, groups: Sequence[int], newer: int, older: int
+) -> list[tuple[ObservedTrials, Neighbours]]:
+    """The nearest trials of the robot as it is, then those before it changed; each part if any are wanted."""
+    parts = ((trials, newer), (trials.former, older))
+    return [(part, nearest(part, x, groups, count)) for part, count in parts if part is not None and count]
+
+
+def _joined(parts: list[NDArray[Any]]) -> NDArray[Any]:
+    """Arrays (b, k, ...) joined along k."""
+    return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
+
+
+def _sets(
+    trials: ObservedTrials, groups: Sequence[int], count: int
+) -> Iterable[tuple[tuple[int, int], list[list[int]]]]:
     """Numbers of neighbours, and for each the groups that have so many; those observed in the same trials together."""
-    everywhere = [group for group in groups if trials.hidden[group] is None]
+    parts = [trials] if trials.former is None else [trials, trials.former]
+    everywhere = [group for group in groups if all(part.hidden[group] is None for part in parts)]
     together = [everywhere] if everywhere else []
-    sets: dict[int, list[list[int]]] = {}
+    sets: dict[tuple[int, int], list[list[int]]] = {}
     for one in together + [[group] for group in groups if group not in everywhere]:
-        sets.setdefault(min(count, trials.counts[one[0]]), []).append(one)
+        sets.setdefault(_counted(trials, one[0], count), []).append(one)
     return sets.items()

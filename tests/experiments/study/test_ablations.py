@@ -49,15 +49,19 @@ def test_a_changed_robot_executes_another_goal_than_was_learned(skill: TableTenn
     np.testing.assert_array_equal(moved[:, 1:], 0.0)
 
 
-def test_ablations_are_listed_and_another_experiments_folder_is_refused(tmp_path: Path) -> None:
+def test_ablations_are_listed_and_repeat_and_another_experiments_folder_is_refused(tmp_path: Path) -> None:
     app = Typer()
     app.command()(ablation)
     error = CliRunner().invoke(app, ["--only", "nonsense"]).exception
     assert isinstance(error, Invalid)
     assert "no ablation 'nonsense'; there are: whole, no outcome" in str(error)
-    words = ["--seeds", "1", "--trials", "10", "--contexts", "3", "--jobs", "1", "--out", str(tmp_path)]
-    done = CliRunner().invoke(app, [*words, "--launcher", "wide", "--only", "whole", "--only", "no outcome"])
-    assert done.exit_code == 0, done.output
-    error = CliRunner().invoke(app, [*words, "--launcher", "medium"]).exception
+    words = ["--seeds", "1", "--trials", "10", "--contexts", "3", "--jobs", "1"]
+    for name in ("once", "again"):
+        chosen = ["--launcher", "wide", "--only", "whole", "--only", "no outcome", "--out", str(tmp_path / name)]
+        done = CliRunner().invoke(app, [*words, *chosen])
+        assert done.exit_code == 0, done.output
+    assert (tmp_path / "once/ablation.csv").read_bytes() == (tmp_path / "again/ablation.csv").read_bytes()
+    assert (tmp_path / "once/ablation.png").exists()
+    error = CliRunner().invoke(app, [*words, "--launcher", "medium", "--out", str(tmp_path / "once")]).exception
     assert isinstance(error, Invalid)
     assert "holds runs with launcher wide; choose another folder" in str(error)

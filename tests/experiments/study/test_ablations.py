@@ -27,6 +27,33 @@ def test_every_ablation_learns(name: str, skill: TableTennis) -> None:
     assert [(row.trials, row.contexts) for row in rows] == [(12, 2)]
 
 
+@pytest.mark.parametrize("deaths", [1, 2])
+def test_runs_of_a_process_that_died_are_told_and_made_once_more(deaths: int, tmp_path: Path) -> None:
+    (tmp_path / "mortal.py").write_text(
+        f"""import os, pathlib
+from crkr.sim_worker.table_tennis.table_tennis import TableTennis
+
+def make(options):
+    died = pathlib.Path({str(tmp_path / "died")!r})
+    count = len(died.read_text()) if died.exists() else 0
+    if count < {deaths}:
+        died.write_text("x" * (count + 1))
+        os._exit(1)
+    return TableTennis(options)
+"""
+    )
+    app = Typer()
+    app.command()(ablation)
+    words = ["--seeds", "1", "--trials", "6", "--contexts", "2", "--jobs", "1", "--only", "no outcome"]
+    done = CliRunner().invoke(app, [*words, "--skill", f"{tmp_path / 'mortal.py'}:make"])
+    told = "a process was lost with 1 runs not made, in one of the first: no outcome, seed 0; {'skill':"
+    if deaths == 1:
+        assert done.exit_code == 0, done.output
+        assert told in " ".join(done.stderr.split())
+    else:
+        assert told in str(done.exception)
+
+
 def test_nothing_left_out_is_the_learner(skill: TableTennis) -> None:
     contest = Contest((20,), 20, 3, 5)
     whole, _ = train(skill, contest, ABLATIONS["whole"](skill.spec(), 1), "crkr", 1)

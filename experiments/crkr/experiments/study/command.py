@@ -146,25 +146,38 @@ def _run(
     trials: int,
     places: tuple[int, str, Path | None],
 ) -> tuple[Rows, tuple[int, ...]]:
-    """Makes the runs that are missing; returns all rows, and the marks."""
+    """Makes the runs that are missing, once more where a process died; returns all rows, and the marks."""
     from crkr.client.cli.progress import Progress
     from crkr.experiments.rivals.comparison import Contest
     from crkr.experiments.study.rows import Rows
     from crkr.sim_worker.places.places import load_places
     from crkr.sim_worker.skill import SkillOptions
+    from crkr.sim_worker.supervisor.pool import ProcessLost
 
     jobs, on, out = places
     marks = (*(mark for mark in _MARKS if mark < trials), trials)
     judged = (settings["contexts"], settings["judge"], settings["demonstrations"], settings["criterion"])
     contest = Contest(marks, *judged)
     rows = Rows(out, file, settings)
-    parts = [(contest, name, ways[name], seed) for name, seed in rows.missing(ways, seeds, trials)]
     options = SkillOptions(settings["environment"], settings["launcher"], settings["preset"], traces=False)
-    with Progress(stderr, "learning", len(parts), "runs") as progress:
-        spread = load_places(on).spread(settings["skill"], options, _learn, parts, jobs) if parts else iter(())
-        for done, found in enumerate(spread, 1):
-            rows.add(found)
-            progress.show(done, f"{found[0].way}, seed {found[0].seed}", now=True)
+    for attempt in (1, 2):
+        parts = [(contest, name, ways[name], seed) for name, seed in rows.missing(ways, seeds, trials)]
+        if not parts:
+            break
+        with Progress(stderr, "learning", len(parts), "runs") as progress:
+            try:
+                for done, found in enumerate(
+                    load_places(on).spread(settings["skill"], options, _learn, parts, jobs), 1
+                ):
+                    rows.add(found)
+                    progress.show(done, f"{found[0].way}, seed {found[0].seed}", now=True)
+            except ProcessLost as error:
+                missing = list(rows.missing(ways, seeds, trials))
+                first = "; ".join(f"{name}, seed {seed}" for name, seed in missing[:jobs])
+                told = f"a process was lost with {len(missing)} runs not made, in one of the first: {first}; {settings}"
+                if attempt == 2:
+                    raise ProcessLost(told) from error
+                stderr.print(f"{told}; trying once more")
     rows.sort()
     return rows, marks
 

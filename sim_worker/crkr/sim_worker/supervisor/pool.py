@@ -14,10 +14,14 @@ from crkr.sim_worker.skill import Skill, SkillOptions
 from crkr.sim_worker.skill_registry import load_skill
 from crkr.sim_worker.supervisor.child_process import ctrl_c_blocked, end_with_parent
 
-__all__ = ["spread"]
+__all__ = ["ProcessLost", "spread"]
 
 Part = TypeVar("Part")
 Result = TypeVar("Result")
+
+
+class ProcessLost(CrkrError):
+    """A process died, and with it what it worked on."""
 
 
 def spread(
@@ -33,7 +37,8 @@ def spread(
         jobs: How many processes.
 
     Raises:
-        CrkrError: A process was lost, or what `work` raises.
+        ProcessLost: A process died.
+        CrkrError: What `work` raises.
     """
     pool = ProcessPoolExecutor(min(jobs, len(parts)), get_context("spawn"), _prepare, (skill, options))
     try:
@@ -42,7 +47,7 @@ def spread(
         for future in as_completed(futures):
             yield future.result()
     except BrokenProcessPool as error:
-        raise CrkrError("a process was lost; nothing was stored; try again") from error
+        raise ProcessLost("a process was lost; nothing was stored; try again") from error
     finally:
         pool.shutdown(cancel_futures=True)
 

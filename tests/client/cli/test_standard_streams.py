@@ -70,14 +70,16 @@ from crkr.client.cli.console import stderr, stdout
 reading, writing = os.pipe()
 os.close(reading)
 os.dup2(writing, 2)  # as a pager that was left
-stderr._force_terminal = True
 with Progress(stderr, "importing [/red]x", 3, "trials") as bar:
     for done in range(3):
         bar.show(done)
         stderr.print("a line")
 stdout.print("[red]literal[/red]")
 """
-    done = subprocess.run([sys.executable, "-c", program], check=False, capture_output=True, text=True, timeout=60)
+    terminal = {**os.environ, "TTY_COMPATIBLE": "1", "NO_COLOR": "1"}
+    done = subprocess.run(
+        [sys.executable, "-c", program], check=False, capture_output=True, text=True, timeout=60, env=terminal
+    )
     assert (done.returncode, done.stdout) == (0, "[red]literal[/red]\n")
 
 

@@ -5,6 +5,7 @@ import re
 import sqlite3
 import subprocess
 import sys
+from collections.abc import Iterator
 from hashlib import blake2b
 from pathlib import Path
 from typing import Any
@@ -104,8 +105,15 @@ def test_what_would_be_written_to_a_file_that_is_gone_is_refused(tmp_path: Path,
 def test_what_an_interrupt_left_half_done_is_undone_before_the_next(tmp_path: Path) -> None:
     file = OutboxFile(tmp_path / "box", "lob")
     file.add(trials(3))
-    file._database.execute("BEGIN IMMEDIATE")
-    file._database.execute("DELETE FROM trial")
+
+    class Interrupted(list[int]):
+        def __iter__(self) -> Iterator[int]:
+            yield from (1, 2)
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        file.delivered(Interrupted())
+    assert numbers(file) == [1, 2, 3]
     file.add(trials(1))
     assert file.pending() == 4
     file.close()

@@ -1,10 +1,9 @@
 """The log's end comes in order, whatever other threads do with it just then."""
 
-import sqlite3
 import threading
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 from uuid import UUID
 
 import pytest
@@ -28,19 +27,33 @@ def log(tmp_path: Path) -> Iterator[SqliteLog]:
     log.close()
 
 
-def test_a_commit_that_outlasts_the_end_of_the_log_is_whole(log: SqliteLog, processes: Any) -> None:
-    held = sqlite3.connect(log.path, isolation_level=None)
-    held.execute("BEGIN IMMEDIATE")  # as slow as a disk that does not answer
+class SlowTrials(tuple[Trial, ...]):
+    """Trials whose commit takes as long as on a disk that does not answer."""
+
+    def __new__(cls, *trials: Trial) -> Self:
+        made = super().__new__(cls, trials)
+        made.began, made.go_on = threading.Event(), threading.Event()
+        return made
+
+    began: threading.Event
+    go_on: threading.Event
+
+    def __iter__(self) -> Iterator[Trial]:
+        self.began.set()
+        self.go_on.wait(30)
+        return super().__iter__()
+
+
+def test_a_commit_that_outlasts_the_end_of_the_log_is_whole(log: SqliteLog) -> None:
     stored: list[Any] = []
-    pending = [PendingReport("reach", (trial(1),))]
-    writing = threading.Thread(target=lambda: stored.append(log.append_reports(pending)))
+    trials = SlowTrials(trial(1))
+    writing = threading.Thread(target=lambda: stored.append(log.append_reports([PendingReport("reach", trials)])))
     writing.start()
-    processes.wait_until(log._writing.locked)
+    assert trials.began.wait(30)
     with pytest.raises(StorageError, match="it ends by itself"):
         log.close()
-    held.execute("ROLLBACK")
-    held.close()
-    writing.join(10)
+    trials.go_on.set()
+    writing.join(30)
     assert [one.seqs for one in stored[0]] == [(2,)]
     with pytest.raises(StorageError, match="closed"):
         log.append_reports([PendingReport("reach", (trial(2),))])

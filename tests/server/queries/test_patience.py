@@ -170,15 +170,17 @@ def test_one_client_has_a_part_of_a_lane_only(asking: Asking) -> None:
     asked = [asking(client=b"a" * 16) for _ in range(12)]
     refused = [lane.offer(request) is not None for request, _ in asked]
     assert refused == [False] * 10 + [True] * 2
-    other, replies = asking(client=b"b" * 16)
-    assert lane.offer(other) is None
+    other = asking(client=b"b" * 16)
+    assert lane.offer(other[0]) is None
     lane.start()
-    assert code(replies) is None
+    for _, replies in [*asked[:10], other]:
+        assert code(replies) is None
+    more = [asking(client=b"a" * 16) for _ in range(10)]  # what was answered counts no more
+    assert [lane.offer(request) for request, _ in more] == [None] * 10
     lane.close(5.0)
-    again, replies = asking(client=b"a" * 16)
-    assert lane.offer(again) is not None  # it is closed
-    assert not lane._of_clients
-    for request, _ in [*asked[-2:], (again, replies)]:
+    late, _ = asking(client=b"a" * 16)
+    assert lane.offer(late) is not None  # it is closed
+    for request in [late, *(refused for refused, _ in asked[-2:])]:
         request.let_go()
 
 

@@ -41,8 +41,15 @@ def installed(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def started(installed: Path, free_port: int, tmp_path: Path) -> Iterator[tuple[str, Callable[[], str]]]:
-    """The endpoint of a server that runs from there, and how to end it and get its log."""
+def started(
+    installed: Path,
+    free_port: int,
+    tmp_path: Path,
+    connect: Callable[[str], Ask],
+    reach: dict[str, Any],
+    processes: Any,
+) -> Iterator[tuple[Ask, Callable[[], str]]]:
+    """Questions to a server with one task that runs from there, and how to end it and get its log."""
     endpoint, log = f"tcp/127.0.0.1:{free_port}", tmp_path / "log"
     # Without `site` nothing but that folder is there.
     command = [sys.executable, "-S", "-P", "-m", "crkr.client", "server", "--listen", endpoint]
@@ -51,15 +58,16 @@ def started(installed: Path, free_port: int, tmp_path: Path) -> Iterator[tuple[s
         log.open("wb") as sink,
         subprocess.Popen([*command, "--data", str(tmp_path / "data")], stderr=sink, env=environment) as process,
     ):
-        while b"listening on" not in log.read_bytes():
-            assert process.poll() is None, log.read_text()
+        processes.wait_until(lambda: b"listening on" in log.read_bytes(), log)
 
         def ended() -> str:
             process.send_signal(signal.SIGTERM)
             assert process.wait(timeout=10) == 0
             return log.read_text()
 
-        yield endpoint, ended
+        ask = connect(endpoint)
+        assert ask("rpc/create_task", reach)["created"] is True
+        yield ask, ended
         if process.poll() is None:
             process.kill()
 
@@ -84,14 +92,10 @@ def asks_all(ask: Ask, make_trial: Callable[..., dict[str, Any]], first: int) ->
 def test_a_server_whose_package_is_taken_away_goes_on(
     what: str,
     installed: Path,
-    started: tuple[str, Callable[[], str]],
-    connect: Callable[[str], Ask],
-    reach: dict[str, Any],
+    started: tuple[Ask, Callable[[], str]],
     make_trial: Callable[..., dict[str, Any]],
 ) -> None:
-    endpoint, ended = started
-    ask = connect(endpoint)
-    assert ask("rpc/create_task", reach)["created"] is True
+    ask, ended = started
     aside = installed.with_name("aside")
     aside.mkdir()
     gone = {
@@ -115,15 +119,9 @@ def test_a_server_whose_package_is_taken_away_goes_on(
 
 
 def test_a_server_whose_package_is_upgraded_goes_on_and_fits_no_more(
-    installed: Path,
-    started: tuple[str, Callable[[], str]],
-    connect: Callable[[str], Ask],
-    reach: dict[str, Any],
-    make_trial: Callable[..., dict[str, Any]],
+    installed: Path, started: tuple[Ask, Callable[[], str]], make_trial: Callable[..., dict[str, Any]]
 ) -> None:
-    endpoint, ended = started
-    ask = connect(endpoint)
-    ask("rpc/create_task", reach)
+    ask, ended = started
     for file in (installed / "crkr").rglob("*.py"):
         file.write_text("raise ImportError('of another version')\n")
     asks_all(ask, make_trial, 0)
@@ -132,15 +130,9 @@ def test_a_server_whose_package_is_upgraded_goes_on_and_fits_no_more(
 
 
 def test_the_process_that_fits_outlives_an_upgrade(
-    installed: Path,
-    started: tuple[str, Callable[[], str]],
-    connect: Callable[[str], Ask],
-    reach: dict[str, Any],
-    make_trial: Callable[..., dict[str, Any]],
+    installed: Path, started: tuple[Ask, Callable[[], str]], make_trial: Callable[..., dict[str, Any]]
 ) -> None:
-    endpoint, ended = started
-    ask = connect(endpoint)
-    ask("rpc/create_task", reach)
+    ask, ended = started
     asks_all(ask, make_trial, 0)
     assert "accepted" in ask("task/reach/admin/refit")
     installed.rename(installed.with_name("aside"))

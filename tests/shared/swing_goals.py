@@ -1,4 +1,4 @@
-"""Goals of a swing about as demanding as those of training."""
+"""Strokes that tests of the primitive look at: one of six joints, and goals about as demanding as those of training."""
 
 from typing import NamedTuple
 
@@ -8,6 +8,16 @@ from numpy.typing import NDArray
 from crkr.sim_worker.primitives.stroke import JointLimits
 
 Floats = NDArray[np.float64]
+
+HOME = np.array([0.0, -1.5, 1.8, -0.3, 1.5, 0.0])
+WAY = np.array([0.2, -0.1, 0.3, 0.1, -0.2, 0.15])
+SPEED = np.array([0.5, -0.4, 0.8, -0.6, 0.7, 0.9])
+ARM = JointLimits(np.full(6, -3.0), np.full(6, 3.0), np.full(6, 2.5), np.full(6, 25.0))
+
+
+def wave(amplitude: float, joints: int = 6) -> Floats:
+    """A profile (45, n) unlike any other."""
+    return amplitude * np.sin(np.linspace(0.0, 6.0, 45)[:, None] + np.arange(joints))
 
 
 class SwingGoal(NamedTuple):

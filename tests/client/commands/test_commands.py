@@ -49,20 +49,6 @@ DEMONSTRATION = (
 )
 
 
-@pytest.fixture(scope="module")
-def run(shared_endpoint: str) -> Run:
-    with Client(shared_endpoint) as client:
-        client.wait_until_ready(20.0)
-
-    def run(command: str, *arguments: str, status: int = 0) -> Result:
-        words = [command, *arguments, "--connect", shared_endpoint]
-        result = CliRunner().invoke(build(words), words)
-        assert result.exit_code == status, f"{result.stdout}\n{result.stderr}\n{result.exception!r}"
-        return result
-
-    return run
-
-
 @pytest.fixture
 def task(run: Run, tmp_path: Path) -> str:
     name = f"throw-{uuid4()}"

@@ -9,10 +9,9 @@ from uuid import uuid4
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner, Result
+from typer.testing import Result
 
 from crkr.client import Client, Task
-from crkr.client.cli.subcommands import build
 from crkr.client.trial_files import warm_start
 from crkr.protocol import Invalid
 
@@ -28,20 +27,6 @@ goal = [
 ]
 outcome = [{name = "miss", tolerance = 0.1}, {name = "height", tolerance = 0.1}]
 """
-
-
-@pytest.fixture
-def run(shared_endpoint: str) -> Run:
-    with Client(shared_endpoint) as client:
-        client.wait_until_ready(20.0)
-
-    def run(command: str, *arguments: str, status: int = 0) -> Result:
-        words = [command, *arguments, "--connect", shared_endpoint]
-        result = CliRunner().invoke(build(words), words)
-        assert result.exit_code == status, f"{result.stdout}\n{result.stderr}\n{result.exception!r}"
-        return result
-
-    return run
 
 
 def taught(client: Client, name: str, count: int = 60, **settings: Any) -> Task:

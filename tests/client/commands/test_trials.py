@@ -11,10 +11,9 @@ from typing import Any
 from uuid import UUID, uuid4
 
 import pytest
-from typer.testing import CliRunner, Result
+from typer.testing import Result
 
 from crkr.client import Client
-from crkr.client.cli.subcommands import build
 
 Run = Callable[..., Result]
 AXIS = {"low": 0.0, "high": 4.0}
@@ -24,20 +23,6 @@ SPEC: dict[str, Any] = {
     "outcome": [{"name": "short", "unit": "m", "tolerance": 0.1}],
     "exploration": {"type": "gaussian"},
 }
-
-
-@pytest.fixture
-def run(shared_endpoint: str) -> Run:
-    with Client(shared_endpoint) as client:
-        client.wait_until_ready(20.0)
-
-    def run(command: str, *arguments: str, typed: str | None = None, status: int = 0) -> Result:
-        words = [command, *arguments, "--connect", shared_endpoint]
-        result = CliRunner().invoke(build(words), words, input=typed)
-        assert result.exit_code == status, f"{result.stdout}\n{result.stderr}\n{result.exception!r}"
-        return result
-
-    return run
 
 
 @pytest.fixture

@@ -65,6 +65,15 @@ def start_worker() -> Iterator[StartWorker]:
         yield start
 
 
+@pytest.fixture
+def ask(server: Any, connect: Callable[[str], Ask], make_trial: MakeTrial, reach: dict[str, Any]) -> Ask:
+    """Questions to a server whose task has one demonstration."""
+    ask = connect(server.endpoint)
+    ask("rpc/create_task", reach)
+    ask("task/reach/rpc/report", {"trials": [make_trial(0)], "wait": True})
+    return ask
+
+
 def line(process: "subprocess.Popen[str]") -> str:
     assert process.stdout is not None
     return process.stdout.readline().strip()
@@ -95,17 +104,8 @@ def stored(endpoint: str) -> list[UUID]:
     ids=["short", "long"],
 )
 def test_killed_clients_leave_their_reports_and_nothing_else(
-    rounds: int,
-    server: Any,
-    connect: Callable[[str], Ask],
-    make_trial: MakeTrial,
-    reach: dict[str, Any],
-    processes: Any,
-    start_worker: StartWorker,
+    rounds: int, server: Any, ask: Ask, processes: Any, start_worker: StartWorker
 ) -> None:
-    ask = connect(server.endpoint)
-    ask("rpc/create_task", reach)
-    ask("task/reach/rpc/report", {"trials": [make_trial(0)], "wait": True})
     acknowledged: set[UUID] = set()
     before = after = (0, 0, 0)
     for turn in range(rounds):
@@ -135,16 +135,8 @@ def test_killed_clients_leave_their_reports_and_nothing_else(
 
 
 def test_lost_stuck_and_finished_workers_are_told_apart_and_a_late_report_is_data(
-    server: Any,
-    connect: Callable[[str], Ask],
-    make_trial: MakeTrial,
-    reach: dict[str, Any],
-    processes: Any,
-    start_worker: StartWorker,
+    server: Any, ask: Ask, make_trial: MakeTrial, processes: Any, start_worker: StartWorker
 ) -> None:
-    ask = connect(server.endpoint)
-    ask("rpc/create_task", reach)
-    ask("task/reach/rpc/report", {"trials": [make_trial(0)], "wait": True})
     ends = {name: start_worker(TRYING, server.endpoint, name) for name in ("killed", "finished", "stuck")}
     open_trials = {name: UUID(line(process)) for name, process in ends.items()}
     trying = dict.fromkeys(("finished", "killed", "stuck"), ("alive", 1))  # a token may arrive after the first question
@@ -170,16 +162,8 @@ def test_lost_stuck_and_finished_workers_are_told_apart_and_a_late_report_is_dat
 
 
 def test_a_worker_that_takes_the_name_of_a_killed_one_is_alive(
-    server: Any,
-    connect: Callable[[str], Ask],
-    make_trial: MakeTrial,
-    reach: dict[str, Any],
-    processes: Any,
-    start_worker: StartWorker,
+    server: Any, ask: Ask, processes: Any, start_worker: StartWorker
 ) -> None:
-    ask = connect(server.endpoint)
-    ask("rpc/create_task", reach)
-    ask("task/reach/rpc/report", {"trials": [make_trial(0)], "wait": True})
     first = start_worker(TRYING, server.endpoint, "ada")
     line(first)
     first.kill()

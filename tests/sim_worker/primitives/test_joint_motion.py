@@ -3,20 +3,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from swing_goals import ARM, HOME, SPEED, WAY, wave
 
 from crkr.protocol.errors import Invalid
-from crkr.sim_worker.primitives.stroke import JointLimits, JointTrajectory, Primitive
+from crkr.sim_worker.primitives.stroke import JointTrajectory, Primitive
 
 Floats = NDArray[np.float64]
-
-HOME = np.array([0.0, -1.5, 1.8, -0.3, 1.5, 0.0])
-WAY = np.array([0.2, -0.1, 0.3, 0.1, -0.2, 0.15])
-SPEED = np.array([0.5, -0.4, 0.8, -0.6, 0.7, 0.9])
-ARM = JointLimits(np.full(6, -3.0), np.full(6, 3.0), np.full(6, 2.5), np.full(6, 25.0))
-
-
-def wave(amplitude: float) -> Floats:
-    return amplitude * np.sin(np.linspace(0.0, 6.0, 45)[:, None] + np.arange(6))
 
 
 def test_samples_are_each_others_derivatives_and_agree_with_the_knots() -> None:

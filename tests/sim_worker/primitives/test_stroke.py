@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.optimize import linprog, nnls
-from swing_goals import draw_goals
+from swing_goals import HOME, SPEED, WAY, draw_goals, wave
 
 from crkr.protocol.errors import Invalid
 from crkr.sim_worker.primitives.stroke import Infeasible, JointLimits, JointTrajectory, Primitive
@@ -21,9 +21,6 @@ ARM = JointLimits(
     speed=np.deg2rad([120.0, 120.0, 180.0, 180.0, 180.0, 180.0]),
     acceleration=np.array([20.0, 20.0, 25.0, 40.0, 40.0, 60.0]),
 )
-HOME = np.array([0.0, -1.5, 1.8, -0.3, 1.5, 0.0])
-EASY_WAY = np.array([0.2, -0.1, 0.3, 0.1, -0.2, 0.15])
-EASY_SPEED = np.array([0.5, -0.4, 0.8, -0.6, 0.7, 0.9])
 
 
 def one_joint(*, room: float = 10.0, speed: float = 2.0, acceleration: float = 20.0) -> JointLimits:
@@ -42,10 +39,6 @@ def attempt(
         return primitive.trajectory(start, position, velocity, hit_time)
     except Infeasible as refusal:
         return refusal
-
-
-def wave(amplitude: float, joints: int = 6) -> Floats:
-    return amplitude * np.sin(np.linspace(0.0, 6.0, N)[:, None] + np.arange(joints))
 
 
 def integrate(acceleration: Floats, step: float) -> tuple[Floats, Floats]:
@@ -84,13 +77,13 @@ def test_without_binding_limits_the_swing_is_the_solution_of_the_dense_optimalit
     hit_time = 0.6
     step = hit_time / HIT
     profile = wave(amplitude)
-    swing = Primitive(ARM, profile).trajectory(HOME, HOME + EASY_WAY, EASY_SPEED, hit_time)
+    swing = Primitive(ARM, profile).trajectory(HOME, HOME + WAY, SPEED, hit_time)
     way, velocity = maps(N, step)
     equalities = np.vstack([way[HIT - 1], velocity[HIT - 1], velocity[-1]])
     hessian = cost_matrix(N)
     system = np.block([[hessian, equalities.T], [equalities, np.zeros((3, 3))]])
     demonstrated = profile / hit_time**2
-    right = np.vstack([hessian @ demonstrated, EASY_WAY, EASY_SPEED, np.zeros(6)])
+    right = np.vstack([hessian @ demonstrated, WAY, SPEED, np.zeros(6)])
     expected = np.linalg.solve(system, right)[:N]
     assert np.abs(expected).max() < ARM.acceleration.min()
     np.testing.assert_allclose(swing.acceleration, expected, atol=1e-8)
@@ -272,12 +265,12 @@ def test_an_impossible_goal_is_refused_with_its_reason_and_joint(
 ) -> None:
     arguments: dict[str, object] = {
         "start": HOME,
-        "goal_position": HOME + EASY_WAY,
-        "goal_velocity": EASY_SPEED,
+        "goal_position": HOME + WAY,
+        "goal_velocity": SPEED,
         "hit_time": 0.6,
     }
     if reason == "out_of_reach" and joint == 3:  # only this joint has to move
-        arguments["goal_velocity"] = np.where(np.arange(6) == 3, EASY_SPEED, 0.0)
+        arguments["goal_velocity"] = np.where(np.arange(6) == 3, SPEED, 0.0)
         arguments["goal_position"] = HOME
     for name, value in change.items():
         if isinstance(value, tuple):

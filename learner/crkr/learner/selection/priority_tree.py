@@ -4,11 +4,12 @@
     c        cost                        d2  squared distance to x
 
 Samples lie in leaves of up to `SLOTS`. A node knows the box of its samples and their lowest cost, so that one descent
-leaves out what holds no better sample near by; and it knows the box of their balls, each a sample's radius wide, so
-that another leaves out what has no radius that reaches x. As good samples have wide balls, and only those of worse
-samples matter, there are such boxes for the samples from each of a few costs on. A node splits the widest side of its
-box; equal states are split by cost, equal costs by age, so that no stream of samples makes the tree degenerate. Where a
-path gets too long, the subtree that is out of balance is built anew [Galperin1993].
+leaves out what holds no better sample near by; and it knows their largest radius, so that another leaves out what has
+no radius that reaches x. As good samples have large radii, and only those of worse samples matter, there is one for the
+samples from each of a few costs on. A leaf is a row of blocks, those of large radii first, and far from x only these
+are looked at. A node splits the widest side of its box; equal states are split by cost, equal costs by age, so that no
+stream of samples makes the tree degenerate. Where a path gets too long, the subtree that is out of balance is built
+anew [Galperin1993].
 
 Distances are sums over dimensions in their order, and a box's distance is rounded like a sample's: bounds are exact,
 and radii have the bits of `squared_distances`. Of equally near better samples the suppressor is a costly one, so that
@@ -27,15 +28,16 @@ from numba import njit
 
 from crkr.protocol import Array
 
-__all__ = ["LEVELS", "SLOTS", "Tree", "build", "fill_radii", "insert", "link", "recost", "remove"]
+__all__ = ["BLOCK", "LEVELS", "SLOTS", "Tree", "build", "fill_radii", "insert", "link", "recost", "remove"]
 
-SLOTS: Final = 128
-LEVELS: Final = 4  # costs from which on boxes of balls are kept
-_FILL: Final = 96  # samples in a leaf that was just built
+SLOTS: Final = 256
+BLOCK: Final = 32
+LEVELS: Final = 8  # costs from which on the largest radius is kept
+_PARTS: Final = SLOTS // BLOCK
+_FILL: Final = 192  # samples in a leaf that was just built
 _DEEPEST: Final = 128  # a path; the balance keeps it below 70
 _UNBALANCED: Final = 0.7  # share of a node's samples in one child
 _NONE: Final = -1
-_WIDER: Final = 1.0 + 1e-9  # of a ball's box, so that rounding leaves no sample of the ball out
 
 # Columns of `Tree.links`, `Tree.samples`, and entries of `Tree.counts`.
 _PARENT, _CHILD, _LEAF, _COUNT, _AXIS = range(5)  # children are neighbours; _CHILD is the left one
@@ -48,10 +50,11 @@ class Tree(NamedTuple):
 
     Attributes:
         boxes: (nodes, 2 d + 3) lowest and highest coordinates, lowest and highest cost, where it is split.
-        balls: (nodes, LEVELS, 2 d) lowest and highest coordinates of the balls of samples from each level on.
+        reaches: (nodes, LEVELS) largest r2 of samples from each level on.
+        ranges: (leaves SLOTS / BLOCK, 3) largest r2, lowest and highest cost in a block.
         levels: (LEVELS,) costs, the first one -inf, ascending.
         links: (nodes, 5) parent, left child, leaf, number of samples, axis of the split.
-        slots: (leaves, d + 2, SLOTS) coordinates, costs and r2 of the samples in a leaf.
+        slots: (leaves SLOTS / BLOCK, d + 2, BLOCK) coordinates, costs and r2 of the samples in a block.
         numbers: (leaves, SLOTS + 2) their numbers; how many there are; the leaf's node.
         samples: (n, 5) slot in all leaves, -1 for a removed sample; suppressor; first suppressed; list neighbours.
         r2: (n,) squared radii; -1: removed.
@@ -60,7 +63,8 @@ class Tree(NamedTuple):
     """
 
     boxes: Array
-    balls: Array
+    reaches: Array
+    ranges: Array
     levels: Array
     links: Any
     slots: Array
@@ -87,17 +91,8 @@ def _box_distance(boxes, node, x):
 
 
 @_inner
-def _is_inside(box, x):
-    d, axis = len(x), 0
-    while axis < d and box[axis] <= x[axis] <= box[d + axis]:
-        axis += 1
-    return axis == d
-
-
-@_inner
-def _distances(slots, leaf, count, x, d2):
-    """Squared distances of a leaf's samples to x, into d2."""
-    block = slots[leaf]
+def _distances(block, count, x, d2):
+    """Squared distances of a block's samples to x, into d2."""
     for axis in range(len(x)):
         value, row = x[axis], block[axis]
         if axis == 0:
@@ -111,55 +106,53 @@ def _distances(slots, leaf, count, x, d2):
 
 
 @_inner
-def _summarise(tree, node, d):
-    """The node's boxes and costs from its samples. A radius of 0 is no ball: nothing is nearer."""
-    leaf = tree.links[node, _LEAF]
-    count = tree.numbers[leaf, SLOTS]
-    box, balls, block = tree.boxes[node], tree.balls[node], tree.slots[leaf]
-    for axis in range(d + 1):
-        row = block[axis]
-        low, high = np.inf, -np.inf
-        for slot in range(count):
-            low, high = min(low, row[slot]), max(high, row[slot])
-        if axis < d:
-            box[axis], box[d + axis] = low, high
-        else:
-            box[2 * d], box[2 * d + 1] = low, high
-    balls[:, :d], balls[:, d:] = np.inf, -np.inf
-    for slot in range(count):
-        reach = np.sqrt(block[d + 1, slot]) * _WIDER
-        if reach > 0:
-            level = 0  # the last one that the sample is from
-            while level + 1 < LEVELS and block[d, slot] >= tree.levels[level + 1]:
-                level += 1
-            for axis in range(d):
-                balls[level, axis] = min(balls[level, axis], block[axis, slot] - reach)
-                balls[level, d + axis] = max(balls[level, d + axis], block[axis, slot] + reach)
-    for level in range(LEVELS - 2, -1, -1):
-        for axis in range(d):
-            balls[level, axis] = min(balls[level, axis], balls[level + 1, axis])
-            balls[level, d + axis] = max(balls[level, d + axis], balls[level + 1, d + axis])
+def _include(tree, node, page, x, cost, r2):
+    """A sample in what a leaf's node knows, and in the ranges of its block."""
+    d = len(x)
+    box, reaches, ranges = tree.boxes[node], tree.reaches[node], tree.ranges[page]
+    for axis in range(d):
+        box[axis], box[d + axis] = min(box[axis], x[axis]), max(box[d + axis], x[axis])
+    box[2 * d], box[2 * d + 1] = min(box[2 * d], cost), max(box[2 * d + 1], cost)
+    ranges[0], ranges[1], ranges[2] = max(ranges[0], r2), min(ranges[1], cost), max(ranges[2], cost)
+    level = LEVELS - 1
+    while cost < tree.levels[level]:
+        level -= 1
+    while level >= 0 and reaches[level] < r2:  # the lower the level, the larger
+        reaches[level] = r2
+        level -= 1
 
 
 @_inner
-def _join(into, left, right, d):
-    """The box around two; whether it is another than before."""
-    changed = False
-    for column in range(2 * d):
-        value = min(left[column], right[column]) if column < d else max(left[column], right[column])
-        if value != into[column]:
-            into[column] = value
-            changed = True
-    return changed
+def _summarise(tree, node, d):
+    """The node's box, costs and reaches from its samples, and the ranges of their blocks."""
+    leaf = tree.links[node, _LEAF]
+    box, reaches = tree.boxes[node], tree.reaches[node]
+    box[:d], box[d : 2 * d], box[2 * d], box[2 * d + 1] = np.inf, -np.inf, np.inf, -np.inf
+    reaches[:] = 0.0
+    for part in range(_PARTS):
+        page = leaf * _PARTS + part
+        block, ranges = tree.slots[page], tree.ranges[page]
+        ranges[0], ranges[1], ranges[2] = 0.0, np.inf, -np.inf
+        for slot in range(min(tree.numbers[leaf, SLOTS] - part * BLOCK, BLOCK)):
+            _include(tree, node, page, block[:d, slot], block[d, slot], block[d + 1, slot])
 
 
 @_inner
 def _pull(tree, node, d):
     """The same from its children; whether anything changed."""
-    child, boxes, balls = tree.links[node, _CHILD], tree.boxes, tree.balls
-    changed = _join(boxes[node], boxes[child], boxes[child + 1], d)
+    child, boxes, reaches = tree.links[node, _CHILD], tree.boxes, tree.reaches
+    changed = False
+    for column in range(2 * d):
+        left, right = boxes[child, column], boxes[child + 1, column]
+        value = min(left, right) if column < d else max(left, right)
+        if value != boxes[node, column]:
+            boxes[node, column] = value
+            changed = True
     for level in range(LEVELS):
-        changed |= _join(balls[node, level], balls[child, level], balls[child + 1, level], d)
+        value = max(reaches[child, level], reaches[child + 1, level])
+        if value != reaches[node, level]:
+            reaches[node, level] = value
+            changed = True
     lowest = min(boxes[child, 2 * d], boxes[child + 1, 2 * d])
     highest = max(boxes[child, 2 * d + 1], boxes[child + 1, 2 * d + 1])
     if lowest != boxes[node, 2 * d] or highest != boxes[node, 2 * d + 1]:
@@ -170,8 +163,14 @@ def _pull(tree, node, d):
 
 @_inner
 def _tighten(tree, node, d):
-    """A leaf's node, and those above as far as anything changes."""
+    """A leaf's node, and those above."""
     _summarise(tree, node, d)
+    _tell(tree, node, d)
+
+
+@_inner
+def _tell(tree, node, d):
+    """The nodes above one that changed, as far as anything changes."""
     node = tree.links[node, _PARENT]
     while node >= 0 and _pull(tree, node, d):
         node = tree.links[node, _PARENT]
@@ -209,10 +208,10 @@ def _set_suppressor(samples, number, suppressor):
 @_inner
 def _state(tree, number, x):
     """The sample's state, into x; its cost."""
-    leaf, slot = divmod(tree.samples[number, _PLACE], SLOTS)
+    page, slot = divmod(tree.samples[number, _PLACE], BLOCK)
     for axis in range(len(x)):
-        x[axis] = tree.slots[leaf, axis, slot]
-    return tree.slots[leaf, len(x), slot]
+        x[axis] = tree.slots[page, axis, slot]
+    return tree.slots[page, len(x), slot]
 
 
 @_inner
@@ -250,16 +249,24 @@ def _nearest_better(tree, x, cost, number, d2):
         if node < 0:
             continue
         leaf = links[node, _LEAF]
-        filled = tree.numbers[leaf, SLOTS]
-        _distances(tree.slots, leaf, filled, x, d2)
-        costs = tree.slots[leaf, d]
-        for slot in range(filled):
-            if d2[slot] <= best and costs[slot] <= cost:
-                other = tree.numbers[leaf, slot]
-                if costs[slot] == cost and other >= number:
-                    continue
-                if d2[slot] < best or costs[slot] > found_cost or (costs[slot] == found_cost and other > found):
-                    best, found, found_cost = d2[slot], other, costs[slot]
+        for part in range(_PARTS):
+            page = leaf * _PARTS + part
+            if tree.ranges[page, 1] > cost:
+                continue
+            count_here, costs = min(tree.numbers[leaf, SLOTS] - part * BLOCK, BLOCK), tree.slots[page, d]
+            _distances(tree.slots[page], count_here, x, d2)
+            hits = np.int64(0)
+            for slot in range(count_here):
+                hits += np.int64((d2[slot] <= best) & (costs[slot] <= cost))
+            if not hits:
+                continue
+            for slot in range(count_here):
+                if d2[slot] <= best and costs[slot] <= cost:
+                    other = tree.numbers[leaf, part * BLOCK + slot]
+                    if costs[slot] == cost and other >= number:
+                        continue
+                    if d2[slot] < best or costs[slot] > found_cost or (costs[slot] == found_cost and other > found):
+                        best, found, found_cost = d2[slot], other, costs[slot]
     return best, found
 
 
@@ -267,7 +274,7 @@ def _nearest_better(tree, x, cost, number, d2):
 def _shrink_others(tree, x, cost, number, d2):
     """Gives this sample as suppressor to the worse ones that it is nearer to than theirs."""
     d = len(x)
-    boxes, balls, links = tree.boxes, tree.balls, tree.links
+    boxes, links = tree.boxes, tree.links
     level = 0
     while level + 1 < LEVELS and cost >= tree.levels[level + 1]:
         level += 1
@@ -277,7 +284,8 @@ def _shrink_others(tree, x, cost, number, d2):
     while count:
         count -= 1
         node = waiting[count]
-        if boxes[node, 2 * d + 1] < cost or not _is_inside(balls[node, level], x):
+        gap = _box_distance(boxes, node, x)
+        if boxes[node, 2 * d + 1] < cost or not gap < tree.reaches[node, level]:
             continue
         child = links[node, _CHILD]
         if child >= 0:
@@ -285,19 +293,28 @@ def _shrink_others(tree, x, cost, number, d2):
             count += 2
             continue
         leaf = links[node, _LEAF]
-        filled = tree.numbers[leaf, SLOTS]
-        _distances(tree.slots, leaf, filled, x, d2)
-        block = tree.slots[leaf]
         changed = False
-        for slot in range(filled):
-            if d2[slot] < block[d + 1, slot] and block[d, slot] >= cost:
-                other = tree.numbers[leaf, slot]
-                if other == number or (block[d, slot] == cost and other < number):
-                    continue
-                block[d + 1, slot] = tree.r2[other] = d2[slot]
-                _set_suppressor(tree.samples, other, number)
-                _touch(tree, other)
-                changed = True
+        for part in range(_PARTS):
+            page = leaf * _PARTS + part
+            if not gap < tree.ranges[page, 0] or tree.ranges[page, 2] < cost:
+                continue
+            block, count_here = tree.slots[page], min(tree.numbers[leaf, SLOTS] - part * BLOCK, BLOCK)
+            costs, r2 = block[d], block[d + 1]
+            _distances(block, count_here, x, d2)
+            hits = np.int64(0)
+            for slot in range(count_here):
+                hits += np.int64((d2[slot] < r2[slot]) & (costs[slot] >= cost))
+            if not hits:
+                continue
+            for slot in range(count_here):
+                if d2[slot] < r2[slot] and costs[slot] >= cost:
+                    other = tree.numbers[leaf, part * BLOCK + slot]
+                    if other == number or (costs[slot] == cost and other < number):
+                        continue
+                    r2[slot] = tree.r2[other] = d2[slot]
+                    _set_suppressor(tree.samples, other, number)
+                    _touch(tree, other)
+                    changed = True
         if changed:
             _tighten(tree, node, d)
 
@@ -307,11 +324,11 @@ def _search(tree, number, x, d2):
     """A sample's radius and suppressor from scratch."""
     cost = _state(tree, number, x)
     radius, suppressor = _nearest_better(tree, x, cost, number, d2)
-    leaf, slot = divmod(tree.samples[number, _PLACE], SLOTS)
-    tree.slots[leaf, len(x) + 1, slot] = tree.r2[number] = radius
+    page, slot = divmod(tree.samples[number, _PLACE], BLOCK)
+    tree.slots[page, len(x) + 1, slot] = tree.r2[number] = radius
     _set_suppressor(tree.samples, number, suppressor)
     _touch(tree, number)
-    _tighten(tree, tree.numbers[leaf, SLOTS + 1], len(x))
+    _tighten(tree, tree.numbers[page // _PARTS, SLOTS + 1], len(x))
 
 
 @_inner
@@ -343,10 +360,10 @@ def _new_pair(tree, parent):
 @_inner
 def _put(tree, leaf, number, x, cost, radius):
     slot, d = tree.numbers[leaf, SLOTS], len(x)
-    block = tree.slots[leaf]
+    page, place = leaf * _PARTS + slot // BLOCK, slot % BLOCK
     for axis in range(d):
-        block[axis, slot] = x[axis]
-    block[d, slot], block[d + 1, slot] = cost, radius
+        tree.slots[page, axis, place] = x[axis]
+    tree.slots[page, d, place], tree.slots[page, d + 1, place] = cost, radius
     tree.numbers[leaf, slot] = number
     tree.numbers[leaf, SLOTS] = slot + 1
     tree.samples[number, _PLACE] = leaf * SLOTS + slot
@@ -404,6 +421,22 @@ def _widest(Z, costs, order, start, stop):
     return axis
 
 
+@_inner
+def _sort(tree, leaf, d):
+    """Puts a leaf's samples of large radii first."""
+    pages, names = tree.slots[leaf * _PARTS : (leaf + 1) * _PARTS].copy(), tree.numbers[leaf].copy()
+    filled = names[SLOTS]
+    keys = np.empty(filled)
+    for slot in range(filled):
+        keys[slot] = -pages[slot // BLOCK, d + 1, slot % BLOCK]
+    for slot, old in enumerate(np.argsort(keys)):
+        page, place, part, source = leaf * _PARTS + slot // BLOCK, slot % BLOCK, old // BLOCK, old % BLOCK
+        for row in range(d + 2):
+            tree.slots[page, row, place] = pages[part, row, source]
+        tree.numbers[leaf, slot] = names[old]
+        tree.samples[names[old], _PLACE] = leaf * SLOTS + slot
+
+
 @_compiled
 def build(tree, root, Z, costs, r2, numbers):
     """Puts samples under a node that has none, in balance.
@@ -433,6 +466,7 @@ def build(tree, root, Z, costs, r2, numbers):
             for row in range(start, stop):
                 index = order[row]
                 _put(tree, leaf, numbers[index], Z[index], costs[index], r2[index])
+            _sort(tree, leaf, d)
             continue
         axis = _widest(Z, costs, order, start, stop)
         for row in range(start, stop):
@@ -456,9 +490,7 @@ def build(tree, root, Z, costs, r2, numbers):
             _summarise(tree, node, d)
         else:
             _pull(tree, node, d)
-    node = tree.links[root, _PARENT]
-    while node >= 0 and _pull(tree, node, d):
-        node = tree.links[node, _PARENT]
+    _tell(tree, root, d)
 
 
 @_inner
@@ -480,10 +512,8 @@ def _rebuild(tree, root, d):
             tree.counts[_FREE_PAIR] = child
             continue
         for slot in range(tree.numbers[leaf, SLOTS]):
-            for axis in range(d):
-                Z[row, axis] = tree.slots[leaf, axis, slot]
-            costs[row], r2[row] = tree.slots[leaf, d, slot], tree.slots[leaf, d + 1, slot]
             numbers[row] = tree.numbers[leaf, slot]
+            costs[row], r2[row] = _state(tree, numbers[row], Z[row]), tree.r2[numbers[row]]
             row += 1
         tree.numbers[leaf, SLOTS + 1] = tree.counts[_FREE_LEAF]
         tree.counts[_FREE_LEAF] = leaf
@@ -508,7 +538,8 @@ def _add(tree, number, x, cost, radius):
         node = child + 1 if key >= tree.boxes[node, 2 * d + 2] else child
         depth += 1
     _put(tree, tree.links[node, _LEAF], number, x, cost, radius)
-    _tighten(tree, node, d)
+    _include(tree, node, tree.samples[number, _PLACE] // BLOCK, x, cost, radius)
+    _tell(tree, node, d)
     total = tree.links[0, _COUNT]
     tree.counts[_MOST] = max(tree.counts[_MOST], total)
     if depth > 3.0 + 1.95 * np.log2(1.0 + total / _FILL):
@@ -523,7 +554,7 @@ def _add(tree, number, x, cost, radius):
 @_compiled
 def insert(tree, first, Z, costs):
     """Adds samples numbered from `first`, in turn; the tree must have room for them."""
-    d2 = np.empty(SLOTS)
+    d2 = np.empty(BLOCK)
     for row in range(len(costs)):
         number, x, cost = first + row, Z[row], costs[row]
         for column in range(5):
@@ -540,14 +571,15 @@ def insert(tree, first, Z, costs):
 def remove(tree, numbers):
     """Takes samples out; those that they suppressed find other suppressors."""
     d = tree.slots.shape[1] - 2
-    x, d2 = np.empty(d), np.empty(SLOTS)
+    x, d2 = np.empty(d), np.empty(BLOCK)
     for number in numbers:
         leaf, slot = divmod(tree.samples[number, _PLACE], SLOTS)
         last = tree.numbers[leaf, SLOTS] - 1
         if slot != last:
             moved = tree.numbers[leaf, last]
+            to, page = leaf * _PARTS + slot // BLOCK, leaf * _PARTS + last // BLOCK
             for row in range(d + 2):
-                tree.slots[leaf, row, slot] = tree.slots[leaf, row, last]
+                tree.slots[to, row, slot % BLOCK] = tree.slots[page, row, last % BLOCK]
             tree.numbers[leaf, slot] = moved
             tree.samples[moved, _PLACE] = leaf * SLOTS + slot
         tree.numbers[leaf, SLOTS] = last
@@ -570,12 +602,12 @@ def remove(tree, numbers):
 def recost(tree, numbers, costs):
     """Changes costs, in turn."""
     d = tree.slots.shape[1] - 2
-    x, d2 = np.empty(d), np.empty(SLOTS)
+    x, d2 = np.empty(d), np.empty(BLOCK)
     for row in range(len(numbers)):
         number, cost = numbers[row], costs[row]
-        leaf, slot = divmod(tree.samples[number, _PLACE], SLOTS)
-        tree.slots[leaf, d, slot] = cost
-        _tighten(tree, tree.numbers[leaf, SLOTS + 1], d)
+        page, slot = divmod(tree.samples[number, _PLACE], BLOCK)
+        tree.slots[page, d, slot] = cost
+        _tighten(tree, tree.numbers[page // _PARTS, SLOTS + 1], d)
         other = tree.samples[number, _FIRST]
         while other >= 0:
             following = tree.samples[other, _NEXT]
@@ -592,14 +624,15 @@ def recost(tree, numbers, costs):
 def fill_radii(tree, first, last):
     """Finds all radii of the samples in the leaves from `first` on, before `last`, which have none."""
     d = tree.slots.shape[1] - 2
-    x, d2 = np.empty(d), np.empty(SLOTS)
+    x, d2 = np.empty(d), np.empty(BLOCK)
     for leaf in range(first, last):
         for slot in range(tree.numbers[leaf, SLOTS]):
             number = tree.numbers[leaf, slot]
             cost = _state(tree, number, x)
             radius, suppressor = _nearest_better(tree, x, cost, number, d2)
-            tree.slots[leaf, d + 1, slot] = tree.r2[number] = radius
+            tree.slots[leaf * _PARTS + slot // BLOCK, d + 1, slot % BLOCK] = tree.r2[number] = radius
             _set_suppressor(tree.samples, number, suppressor)
+        _sort(tree, leaf, d)
         _tighten(tree, tree.numbers[leaf, SLOTS + 1], d)
 
 

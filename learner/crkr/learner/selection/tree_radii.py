@@ -9,17 +9,17 @@ from numpy.typing import NDArray
 
 from crkr.learner.selection import priority_tree
 from crkr.learner.selection.anms_batch import Indices
-from crkr.learner.selection.priority_tree import LEVELS, SLOTS, Tree
+from crkr.learner.selection.priority_tree import BLOCK, LEVELS, SLOTS, Tree
 from crkr.learner.selection.selector import Radii
 from crkr.protocol import Array
 
 __all__ = ["TreeRadii"]
 
-_FEWEST_IN_LEAF: Final = 48  # when it is made
+_FEWEST_IN_LEAF: Final = 96  # when it is made
 _SPARE: Final = 64  # leaves
 _NOTED: Final = 4096  # changed radii that are told one by one
 _FIRST_CAPACITY: Final = 1024  # samples
-_SHARES: Final = (0.03, 0.12, 0.5)  # of the samples that are better than each level
+_SHARES: Final = 0.5 ** np.arange(LEVELS - 1, 0, -1)  # of the samples that are better than each level
 
 
 @final
@@ -54,10 +54,10 @@ class TreeRadii:
         Z, costs = np.zeros((self._count, self._d)), np.full(self._count, np.nan)
         place = self._tree.samples[: self._count, 0]
         alive = np.flatnonzero(place >= 0)
-        leaf, slot = np.divmod(place[alive], SLOTS)
+        page, slot = np.divmod(place[alive], BLOCK)
         for axis in range(self._d):
-            Z[alive, axis] = self._tree.slots[leaf, axis, slot]
-        costs[alive] = self._tree.slots[leaf, self._d, slot]
+            Z[alive, axis] = self._tree.slots[page, axis, slot]
+        costs[alive] = self._tree.slots[page, self._d, slot]
         return Z, costs
 
     def extend(self, Z: Array, costs: Array) -> Indices | None:
@@ -120,12 +120,14 @@ class TreeRadii:
 
 def _empty(d: int, samples: int) -> Tree:
     leaves = samples // _FEWEST_IN_LEAF + _SPARE
+    pages = leaves * (SLOTS // BLOCK)
     return Tree(
         boxes=np.empty((2 * leaves, 2 * d + 3)),
-        balls=np.empty((2 * leaves, LEVELS, 2 * d)),
+        reaches=np.empty((2 * leaves, LEVELS)),
+        ranges=np.empty((pages, 3)),
         levels=np.concatenate([[-np.inf], np.full(LEVELS - 1, np.inf)]),
         links=_links(2 * leaves),
-        slots=np.empty((leaves, d + 2, SLOTS)),
+        slots=np.empty((pages, d + 2, BLOCK)),
         numbers=np.empty((leaves, SLOTS + 2), dtype=np.int32),
         samples=np.empty((samples, 5), dtype=np.int32),
         r2=np.empty(samples),

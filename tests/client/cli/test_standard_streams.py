@@ -15,12 +15,12 @@ def shell(line: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(["bash", "-c", line], check=False, capture_output=True, text=True, timeout=120)
 
 
-@pytest.fixture(params=["tasks", "tasks --json", "status", "status --json"])
+@pytest.fixture(params=["tasks", "status --json"])
 def question(request: pytest.FixtureRequest, shared_endpoint: str) -> str:
     return f"{CRKR} {request.param} --connect {shared_endpoint}"
 
 
-WORDS = ("--version", "--help", "report --help", "create examples/throw.toml --write -")
+WORDS = ("--version", "report --help", "create examples/throw.toml --write -")
 COMMANDS = [f"{CRKR} {words}" for words in WORDS]
 
 

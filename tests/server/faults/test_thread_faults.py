@@ -44,7 +44,7 @@ def faults(thread: str) -> int:
 
 
 def test_a_thread_goes_on_whatever_is_raised_and_each_fault_is_counted() -> None:
-    steps = [*RAISED, None, *RAISED]
+    steps = [*RAISED, None, *RAISED, None]
 
     def step() -> bool:
         if (error := steps.pop(0)) is not None:
@@ -55,8 +55,8 @@ def test_a_thread_goes_on_whatever_is_raised_and_each_fault_is_counted() -> None
     thread = threading.Thread(target=keep_running, args=(step,), name="steps", daemon=True)
     thread.start()
     thread.join(PATIENCE_S)
-    assert thread.is_alive() is False or steps == []
-    assert faults("steps") >= before + len(RAISED)
+    assert not thread.is_alive()
+    assert faults("steps") == before + 2 * len(RAISED)
 
 
 def test_what_has_one_thing_to_do_is_counted_too() -> None:
@@ -225,7 +225,8 @@ def test_a_key_longer_than_zenoh_can_answer_harms_nobody_else(
         processes.wait_until(lambda: seen, server.log)
         list(hostile.get(f"{ROOT}/x/dummy2", payload=b"", timeout=2.0))
         assert task.predict([0.5, 0.5], timeout_s=PATIENCE_S).active == 1
-        assert task.report(state=[0.4, 0.5], goal=[0.0] * 3, cost=0.5, success=True, timeout_s=PATIENCE_S).accepted == 1
+        receipt = task.report(state=[0.4, 0.5], goal=[0.0] * 3, cost=0.5, success=True, timeout_s=PATIENCE_S)
+        assert receipt.seqs == (3,)  # stored once, though the first attempt may have been lost
         assert task.status(timeout_s=PATIENCE_S)["samples"]["trial"] == 2
         assert len(task.samples(timeout_s=PATIENCE_S)[0]) == 2
         with ZenohTransport(Connection.choose(endpoint, None)) as transport, pytest.raises(Unsupported, match="dance"):

@@ -17,6 +17,7 @@ CONTEXTS = 60
 
 def evaluate(start_command: Start, endpoint: str, *words: str, task: str = "reaching") -> Any:
     options = ["--skill", "reaching:make", "--contexts", str(CONTEXTS), "--seed", "4", "--connect", endpoint, "--json"]
+    options += ["--jobs", "1"]
     return start_command("evaluate", task, *options, *words)
 
 
@@ -30,7 +31,7 @@ def distances(task: Any) -> np.ndarray[Any, Any]:
 
 
 def test_rates_and_intervals_are_those_of_the_policy(start_command: Start, finished_run: Any) -> None:
-    result = evaluate(start_command, finished_run.endpoint).result()
+    result = evaluate(start_command, finished_run.endpoint, "--jobs", "2").result()
     miss = distances(finished_run.task)
     for name, reach in (("near", 0.35), ("exact", 0.0875)):
         successes = int((miss < reach).sum())
@@ -42,7 +43,7 @@ def test_rates_and_intervals_are_those_of_the_policy(start_command: Start, finis
 
 
 def test_the_planner_and_the_rate_before_learning_are_reported_too(start_command: Start, finished_run: Any) -> None:
-    result = evaluate(start_command, finished_run.endpoint, "--jobs", "1").result()
+    result = evaluate(start_command, finished_run.endpoint).result()
     assert result["oracle"] == {"near": 1.0, "exact": 1.0}
     before = finished_run.report["epochs"][0]
     assert result["before_learning"] == {"near": before["near"], "exact": before["exact"], "contexts": 10, "balls": 10}

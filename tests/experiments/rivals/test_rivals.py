@@ -1,6 +1,7 @@
 """Every rival keeps one contract, and those that use outcomes learn what those without cannot."""
 
 import csv
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -8,13 +9,23 @@ import pytest
 from typer import Typer
 from typer.testing import CliRunner
 
+from crkr.client.cli.error_lines import guarded
 from crkr.experiments.rivals.command import rivals
-from crkr.experiments.rivals.comparison import RIVALS, Contest, compete
+from crkr.experiments.rivals.comparison import PACKAGES, RIVALS, Contest, compete
 from crkr.protocol import Invalid
 from crkr.sim_worker.skill import SkillOptions
 from crkr.sim_worker.table_tennis.table_tennis import TableTennis
 
-CONTEST = Contest(marks=(0, 12), contexts=8, judge=5, demonstrations=5)
+CONTEST = Contest(marks=(0, 6), contexts=8, judge=5, demonstrations=5)
+TRIALS = {"botorch": 6, "global-gp": 14}  # slow ones; elsewhere more than a batch of each
+
+
+@pytest.fixture(params=RIVALS)
+def name(request: pytest.FixtureRequest) -> str:
+    found: str = request.param
+    if found in PACKAGES:
+        pytest.importorskip(PACKAGES[found], reason=f"{found} needs the extra 'rivals'")
+    return found
 
 
 @pytest.fixture
@@ -22,7 +33,6 @@ def skill() -> TableTennis:
     return TableTennis(SkillOptions(environment="analytic"), traces=False)
 
 
-@pytest.mark.parametrize("name", RIVALS)
 def test_a_rival_answers_within_bounds_and_repeats_by_its_seed(name: str, skill: TableTennis) -> None:
     spec = skill.spec()
     low, high = (np.array([getattr(entry, side) for entry in spec.goal]) for side in ("low", "high"))
@@ -31,7 +41,7 @@ def test_a_rival_answers_within_bounds_and_repeats_by_its_seed(name: str, skill:
         rival = RIVALS[name](spec, 3)
         rival.start(skill.demonstrations(5, np.random.default_rng(1)))
         rng, asked = np.random.default_rng(2), []
-        for _ in range(42):  # more than a batch of each
+        for _ in range(TRIALS.get(name, 42)):
             state = skill.reset(rng)
             goal = rival.ask(state)
             rival.tell(state, goal, skill.execute(goal))
@@ -47,10 +57,9 @@ def test_a_rival_answers_within_bounds_and_repeats_by_its_seed(name: str, skill:
     np.testing.assert_array_equal(goals(), found)
 
 
-@pytest.mark.parametrize("name", RIVALS)
 def test_a_run_is_judged_at_every_mark_on_the_same_contexts(name: str, skill: TableTennis) -> None:
     rows, milliseconds = compete(skill, CONTEST, name, seed=4)
-    assert [(row.way, row.seed, row.trials, row.contexts) for row in rows] == [(name, 4, 0, 8), (name, 4, 12, 8)]
+    assert [(row.way, row.seed, row.trials, row.contexts) for row in rows] == [(name, 4, 0, 8), (name, 4, 6, 8)]
     assert milliseconds > 0
     assert compete(skill, CONTEST, name, seed=4)[0] == rows
 
@@ -71,6 +80,18 @@ def test_a_study_goes_on_where_it_stopped(tmp_path: Path) -> None:
 def test_an_unknown_rival_lists_the_known_ones() -> None:
     app = Typer()
     app.command()(rivals)
-    error = CliRunner().invoke(app, ["--only", "sac"]).exception
+    error = CliRunner().invoke(app, ["--only", "ppo"]).exception
     assert isinstance(error, Invalid)
-    assert "no rival 'sac'; there are: crkr, bayesian-quadratic" in str(error)
+    assert "no rival 'ppo'; there are: crkr, bayesian-quadratic" in str(error)
+
+
+@pytest.mark.parametrize(("name", "package"), PACKAGES.items())
+def test_a_rival_without_its_package_names_the_extra_before_anything_runs(
+    name: str, package: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, package, None)
+    app = Typer()
+    app.command()(guarded(rivals, "experiment rivals", rivals.__module__))
+    done = CliRunner().invoke(app, ["--only", name])
+    assert done.exit_code == 1
+    assert done.stderr == "error: crkr experiment rivals needs the extra 'rivals': pip install 'crkr[rivals]'\n"

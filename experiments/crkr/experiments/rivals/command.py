@@ -42,16 +42,19 @@ def rivals(
     """Compare crkr with what one would use instead.
 
     Every rival gets the same demonstrations, training contexts and judged
-    contexts, and the outcome where it can use it. With --out, runs that the
-    folder already holds are not made again.
+    contexts, and the outcome where it can use it. Some need the extra
+    'rivals'; without --only, those that are installed take part. With --out,
+    runs that the folder already holds are not made again.
 
     Example: crkr experiment rivals --launcher wide --trials 100 --trials 500
     """
+    from importlib.util import find_spec
     from statistics import median
 
+    from crkr.client.cli.error_lines import require
     from crkr.client.cli.progress import Progress
     from crkr.experiments.figures.curves import draw_summaries
-    from crkr.experiments.rivals.comparison import RIVALS, Contest
+    from crkr.experiments.rivals.comparison import PACKAGES, RIVALS, Contest
     from crkr.experiments.study.rows import Rows, print_summary, summary_table
     from crkr.protocol import Invalid
     from crkr.sim_worker.places.places import load_places
@@ -60,7 +63,9 @@ def rivals(
     unknown = sorted(set(only or ()) - set(RIVALS))
     if unknown:
         raise Invalid(f"no rival {unknown[0]!r}; there are: {', '.join(RIVALS)}")
-    names = [name for name in RIVALS if not only or name in only]
+    require(*(PACKAGES[name] for name in only or () if name in PACKAGES))
+    absent = {name for name, package in PACKAGES.items() if find_spec(package) is None}
+    names = [name for name in RIVALS if name in (only or RIVALS.keys() - absent)]
     contest = Contest(tuple(sorted(set(trials or (100, 500)))), contexts, judge, demonstrations)
     settings = {
         "skill": skill,

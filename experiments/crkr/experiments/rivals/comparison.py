@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib import import_module
 from time import thread_time
 from typing import Final, final
 
 from crkr.experiments.learning.run import demonstrated, judge
 from crkr.experiments.rivals.forward_models import bayesian_quadratic, ridge_quadratic
+from crkr.experiments.rivals.gaussian_processes import global_gp
 from crkr.experiments.rivals.policy_search import SuccessRegression, contextual_cma_es, contextual_reps
 from crkr.experiments.rivals.rival import Crkr, Rival
 from crkr.experiments.study.rows import Row, judged_row
@@ -16,16 +18,44 @@ from crkr.protocol import TaskSpec
 from crkr.sim_worker.randomness import fresh_rng, training_rng
 from crkr.sim_worker.skill import Skill
 
-__all__ = ["RIVALS", "Contest", "compete", "train"]
+__all__ = ["PACKAGES", "RIVALS", "Contest", "compete", "train"]
 
-RIVALS: Final[dict[str, Callable[[TaskSpec, int], Rival]]] = {
+Maker = Callable[[TaskSpec, int], Rival]
+
+
+def _later(module: str, name: str) -> Maker:
+    """A rival whose library is imported when it is made."""
+
+    def make(spec: TaskSpec, seed: int) -> Rival:
+        rival: Rival = getattr(import_module(f"crkr.experiments.rivals.{module}"), name)(spec, seed)
+        return rival
+
+    return make
+
+
+RIVALS: Final[dict[str, Maker]] = {
     "crkr": Crkr,
     "bayesian-quadratic": bayesian_quadratic,
     "ridge-quadratic": ridge_quadratic,
+    "global-gp": global_gp,
+    "botorch": _later("bayesian_optimisation", "CompositeOptimisation"),
     "success-gp": SuccessRegression,
     "contextual-cma-es": contextual_cma_es,
     "contextual-reps": contextual_reps,
+    "sb3-sac": _later("actor_critic", "soft_actor_critic"),
+    "sb3-td3": _later("actor_critic", "twin_delayed"),
+    "pyribs": _later("archive", "EliteArchive"),
+    "optuna": _later("black_boxes", "optuna_tpe"),
+    "nevergrad": _later("black_boxes", "nevergrad_tbpsa"),
 }
+PACKAGES: Final = {
+    "botorch": "botorch",
+    "sb3-sac": "stable_baselines3",
+    "sb3-td3": "stable_baselines3",
+    "pyribs": "ribs",
+    "optuna": "optuna",
+    "nevergrad": "nevergrad",
+}  # of the extra `rivals`, by the rival that needs it
 
 
 @final

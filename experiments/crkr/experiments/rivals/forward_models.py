@@ -15,7 +15,9 @@ from crkr.experiments.rivals.rival import TaskScales
 from crkr.protocol import Invalid, TaskSpec
 from crkr.sim_worker.skill import Demonstration, Floats, TrialResult
 
-__all__ = ["ForwardModel", "bayesian_quadratic", "ridge_quadratic"]
+__all__ = ["REFIT", "ForwardModel", "Surface", "SurfaceFit", "bayesian_quadratic", "ridge_quadratic"]
+
+SurfaceFit = Callable[[Floats], tuple[Floats, Floats]]  # x (b, n) -> outcomes (b, q) and their slopes (b, q, n)
 
 STEPS: Final = 12  # of Gauss-Newton; more change no goal by a thousandth of its scale
 DAMPING: Final = 1e-6
@@ -23,21 +25,21 @@ CLONING_RIDGE: Final = 0.1
 REFIT: Final = 1.02
 
 
-class QuadraticSurface(Protocol):
-    """Outcomes as quadratics in x, a scaled state followed by a scaled goal."""
-
-    def coefficients(self) -> tuple[Floats, Floats, Floats]:
-        """Constants (q,), slopes (q, n) and symmetric curvatures (q, n, n): y = c + b x + x A x."""
-        ...
+class Surface(Protocol):
+    """Outcomes as smooth functions of x, a scaled state followed by a scaled goal."""
 
     def add(self, x: Floats, y: Floats) -> None:
         """Takes one trial: x (n,), y (q,), NaN where not observed."""
         ...
 
+    def fit(self) -> SurfaceFit:
+        """The functions that fit the trials so far."""
+        ...
+
 
 @final
 class ForwardModel:
-    """A quadratic model of the outcome, inverted by Gauss-Newton around what successes had in common.
+    """A model of the outcome, inverted by Gauss-Newton around what successes had in common.
 
     Args:
         spec: The task; it must have outcomes.
@@ -48,7 +50,7 @@ class ForwardModel:
     """
 
     def __init__(
-        self, spec: TaskSpec, seed: int, surface: Callable[[int, int], QuadraticSurface], *, noise: float, trust: float
+        self, spec: TaskSpec, seed: int, surface: Callable[[int, int], Surface], *, noise: float, trust: float
     ) -> None:
         if not spec.outcome:
             raise Invalid("a forward model needs a task with outcomes")
@@ -93,15 +95,13 @@ class ForwardModel:
         """Gauss-Newton on outcome deviations in tolerances and distances from the cloned goal in trusted scales."""
         z = self._scales.states(states)
         prior = self._cloned(z)
-        constant, slope, curvature = self._surface.coefficients()
+        outcomes = self._surface.fit()
         low, high = self._scales.bounds()
         goals, d = np.clip(prior, low, high), z.shape[1]
         for _ in range(STEPS):
-            x = np.concatenate([z, goals], axis=1)
-            bent = np.einsum("qij,bj->bqi", curvature, x)
-            y = constant + x @ slope.T + np.einsum("bqi,bi->bq", bent, x)
+            y, slopes = outcomes(np.concatenate([z, goals], axis=1))
             wrong = np.where(self._scales.side == 0, True, np.sign(y) == self._scales.side)
-            jacobian = (slope + 2 * bent)[:, :, d:] * wrong[:, :, None]
+            jacobian = slopes[:, :, d:] * wrong[:, :, None]
             residual = np.where(wrong, y, 0.0)
             normal = jacobian.transpose(0, 2, 1) @ jacobian
             normal += (self._trust**-2 + DAMPING) * np.eye(goals.shape[1])
@@ -116,13 +116,19 @@ def _quadratic_features(x: Floats) -> Floats:
     return np.concatenate([[1.0], x, x[rows] * x[columns]])
 
 
-def _split(weights: Floats, size: int) -> tuple[Floats, Floats, Floats]:
-    """Constants, slopes and curvatures of weights (q, features)."""
+def _quadratic(weights: Floats, size: int) -> SurfaceFit:
+    """The quadratics y = c + b x + x A x of weights (q, features)."""
     rows, columns = np.triu_indices(size)
+    constant, slope = weights[:, 0], weights[:, 1 : 1 + size]
     curvature = np.zeros((len(weights), size, size))
     curvature[:, rows, columns] += weights[:, 1 + size :] / 2
     curvature[:, columns, rows] += weights[:, 1 + size :] / 2
-    return weights[:, 0], weights[:, 1 : 1 + size], curvature
+
+    def outcomes(x: Floats) -> tuple[Floats, Floats]:
+        bent = np.einsum("qij,bj->bqi", curvature, x)
+        return constant + x @ slope.T + np.einsum("bqi,bi->bq", bent, x), slope + 2 * bent
+
+    return outcomes
 
 
 @final
@@ -143,11 +149,11 @@ class _BayesianSurface:
         self._precision[seen] += weights * np.outer(features, features)
         self._push[seen] += weights * np.outer(y[seen], features)
 
-    def coefficients(self) -> tuple[Floats, Floats, Floats]:
+    def fit(self) -> SurfaceFit:
         weights = np.empty_like(self._push)
         for entry, (precision, push) in enumerate(zip(self._precision, self._push, strict=True)):
             weights[entry] = cho_solve(cho_factor(precision), push)
-        return _split(weights, self._size)
+        return _quadratic(weights, self._size)
 
 
 def bayesian_quadratic(spec: TaskSpec, seed: int) -> ForwardModel:
@@ -171,7 +177,7 @@ class _RidgeSurface:
         self._x.append(x)
         self._y.append(y)
 
-    def coefficients(self) -> tuple[Floats, Floats, Floats]:
+    def fit(self) -> SurfaceFit:
         if len(self._x) >= REFIT * self._fitted[0]:
             features, y = self._expand.transform(np.array(self._x)), np.array(self._y)
             weights = np.zeros((self._entries, features.shape[1]))
@@ -181,7 +187,7 @@ class _RidgeSurface:
                     model = Ridge(self._alpha, fit_intercept=False).fit(features[seen], y[seen, entry])
                     weights[entry] = model.coef_
             self._fitted = len(self._x), weights
-        return _split(self._fitted[1], self._size)
+        return _quadratic(self._fitted[1], self._size)
 
 
 def ridge_quadratic(spec: TaskSpec, seed: int) -> ForwardModel:

@@ -11,7 +11,7 @@ from scipy.special import logsumexp
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 
-from crkr.experiments.rivals.rival import TaskScales
+from crkr.experiments.rivals.rival import TaskScales, cost_of
 from crkr.protocol import TaskSpec
 from crkr.sim_worker.skill import Demonstration, Floats, TrialResult
 
@@ -20,10 +20,6 @@ __all__ = ["LinearGaussianSearch", "SuccessRegression", "contextual_cma_es", "co
 BATCH: Final = 40  # trials; fewer say too little of 13 times 7 gains
 EPSILON: Final = 0.5  # bound of the relative entropy of a step
 NEWEST: Final = 400  # successes of a regression; exact ones cost the cube of their number
-
-
-def _cost(result: TrialResult) -> float:
-    return 1.0 if result.cost is None else float(result.cost)
 
 
 @final
@@ -103,7 +99,7 @@ class LinearGaussianSearch:
 
     def tell(self, state: Floats, goal: Floats, result: TrialResult) -> None:
         """Improves the policy when a batch is full."""
-        self._trials.append((self._features(state), self._scales.goals(goal), _cost(result)))
+        self._trials.append((self._features(state), self._scales.goals(goal), cost_of(result)))
         if len(self._trials) == BATCH:
             features, goals, costs = (np.array(part) for part in zip(*self._trials, strict=True))
             self._trials.clear()

@@ -6,12 +6,13 @@ from collections.abc import Sequence
 from typing import Protocol, final
 
 import numpy as np
+from sklearn.linear_model import Ridge
 
 from crkr.learner import Learner, SelectorFactory
 from crkr.protocol import TaskSpec, training_id
 from crkr.sim_worker.skill import Demonstration, Floats, TrialResult
 
-__all__ = ["Crkr", "Rival", "TaskScales"]
+__all__ = ["Crkr", "Offsets", "Rival", "TaskScales", "cost_of"]
 
 
 class Rival(Protocol):
@@ -82,6 +83,30 @@ class TaskScales:
         """Deviations from the target (q,) in tolerances; NaN stays."""
         scaled: Floats = (outcome - self._target) / self._tolerance
         return scaled
+
+
+@final
+class Offsets:
+    """Goals as offsets from behaviour cloning, a ridge regression of the demonstrations, in scales of the goal."""
+
+    def __init__(self, spec: TaskSpec, demonstrations: Sequence[Demonstration]) -> None:
+        self.scales = TaskScales(spec, demonstrations)
+        states, goals = (np.array([getattr(one, name) for one in demonstrations]) for name in ("state", "goal"))
+        self._cloned = Ridge(1.0).fit(self.scales.states(states), self.scales.goals(goals))
+
+    def of(self, state: Floats, goal: Floats) -> Floats:
+        """The offset (p,) of a goal in a state."""
+        offset: Floats = self.scales.goals(goal) - self._cloned.predict(self.scales.states(state)[None, :])[0]
+        return offset
+
+    def goals(self, states: Floats, offsets: Floats) -> Floats:
+        """Goals (b, p) within their bounds."""
+        return self.scales.real_goals(self._cloned.predict(self.scales.states(states)) + offsets)
+
+
+def cost_of(result: TrialResult) -> float:
+    """The cost for what knows no outcome; 1 where nothing was executed or measured."""
+    return 1.0 if result.cost is None else float(result.cost)
 
 
 @final

@@ -37,7 +37,8 @@ LAYERS = {
     "dashboard": _layer("protocol client", "numpy rerun starlette typer rich uvicorn"),
     "experiments": _layer(
         "protocol learner client sim_worker",
-        "numpy scipy matplotlib joblib sklearn zenoh typer rich gymnasium fancy_gym",
+        "numpy scipy matplotlib joblib sklearn zenoh typer rich gymnasium fancy_gym"
+        " botorch gpytorch nevergrad optuna ribs stable_baselines3 torch",
     ),
 }
 # The mirror is a learner that lives in the client: that one module may know the mathematics.

@@ -19,6 +19,7 @@ __all__ = ["rivals"]
 
 _FILE: Final = "rivals.csv"
 _FIGURE: Final = "rivals.png"
+_OURS: Final = "crkr"
 
 
 def rivals(
@@ -55,7 +56,7 @@ def rivals(
     from crkr.client.cli.progress import Progress
     from crkr.experiments.figures.curves import draw_summaries
     from crkr.experiments.rivals.comparison import PACKAGES, RIVALS, Contest
-    from crkr.experiments.study.rows import Rows, print_summary, summary_table
+    from crkr.experiments.study.rows import Rows, compare, comparison_cell, print_summary, summary_table
     from crkr.protocol import Invalid
     from crkr.sim_worker.places.places import load_places
     from crkr.sim_worker.skill import SkillOptions
@@ -79,23 +80,36 @@ def rivals(
     wanted = rows.missing(names, range(first_seed, first_seed + seeds), contest.marks[-1])
     parts = [(contest, name, seed) for name, seed in wanted]
     with Progress(stderr, "learning", len(parts), "runs") as progress:
-        options = SkillOptions(environment=environment, launcher=launcher)
+        options = SkillOptions(environment=environment, launcher=launcher, traces=False)
         spread = load_places(on).spread(skill, options, _compete, parts, jobs) if parts else iter(())
         for done, (found, milliseconds) in enumerate(spread, 1):
             rows.add(found)
             costs.setdefault(found[0].way, []).append(milliseconds)
             progress.show(done, f"{found[0].way}, seed {found[0].seed}", now=True)
+    rows.sort()
+    last = contest.marks[-1]
     table = summary_table(rows.all, names, contest.marks)
+    others = [name for name in names if name != _OURS]
+    better = {name: compare(rows.all, [(name, _OURS)], last) for name in others}
+    area = {name: compare(rows.all, [(name, _OURS)], last, area=True) for name in others}
     busy = {name: median(found) for name, found in costs.items()}
     title = f"{skill}, {launcher or 'its launcher'}, {environment}, {contexts} contexts"
     if out is not None and contest.marks[0] > 0:
         draw_summaries(table, title, out / _FIGURE)
     if json:
-        print_json([{**row, "ms": busy.get(row["way"])} for row in table])
-    else:
-        print_summary(
-            table, contest.marks, title, {"ms a trial": lambda way: f"{busy[way]:.1f}" if way in busy else ""}
+        print_json(
+            [
+                {**row, "ms": busy.get(row["way"]), "beside": better.get(row["way"]), "area": area.get(row["way"])}
+                for row in table
+            ]
         )
+        return
+    extra = {
+        f"P(better than {_OURS})": lambda way: comparison_cell(better.get(way), "better"),
+        "gain in area": lambda way: comparison_cell(area.get(way), "gain"),
+        "ms a trial": lambda way: f"{busy[way]:.1f}" if way in busy else "",
+    }
+    print_summary(table, contest.marks, title, extra)
 
 
 def _compete(skill: Skill, part: tuple[Contest, str, int]) -> tuple[list[Row], float]:

@@ -14,7 +14,7 @@ from crkr.client.cli.options import Json
 if TYPE_CHECKING:
     from crkr.experiments.rivals.comparison import Contest
     from crkr.experiments.rivals.rival import Rival
-    from crkr.experiments.study.rows import Comparison, Row, Rows
+    from crkr.experiments.study.rows import Row, Rows
     from crkr.protocol import TaskSpec
     from crkr.sim_worker.skill import Skill
 
@@ -200,7 +200,7 @@ def _shown(
 ) -> list[dict[str, Any]]:
     """The table of all ways, each beside its rival; printed unless it is wanted as JSON, and drawn."""
     from crkr.experiments.figures.curves import draw_gains
-    from crkr.experiments.study.rows import compare, print_summary, summary_table
+    from crkr.experiments.study.rows import compare, comparison_cell, print_summary, summary_table
 
     table = summary_table(rows.all, rivals, marks)
     pairs = {way: [(way, rival)] for way, rival in rivals.items() if way != rival}
@@ -212,30 +212,30 @@ def _shown(
         draw_gains(gains, f"{title}: after {marks[-1]} trials", figure)
     if not as_json:
         extra = {
-            "gain": lambda way: _cell(last.get(way), "gain"),
-            "P(better)": lambda way: _cell(last.get(way), "better"),
-            "gain in area": lambda way: _cell(area.get(way), "gain"),
+            "gain": lambda way: comparison_cell(last.get(way), "gain"),
+            "P(better)": lambda way: comparison_cell(last.get(way), "better"),
+            "gain in area": lambda way: comparison_cell(area.get(way), "gain"),
         }
         print_summary(table, marks, f"{title}, {settings['contexts']} contexts", extra)
     return [{**row, "beside": last.get(row["way"]), "area": area.get(row["way"])} for row in table]
 
 
-def _cell(found: Comparison | None, field: str) -> str:
-    if found is None:
-        return ""
-    value, low, high = getattr(found, field)
-    sign = "+" if field == "gain" else ""
-    return f"{value:{sign}.3f} [{low:{sign}.3f}, {high:{sign}.3f}]"
-
-
 def _print_overall(rows: Rows, names: Sequence[str], anms: Sequence[Any], trials: int) -> None:
     """Each rule beside ANMS over all budgets and lambdas, which are the strata."""
-    from crkr.experiments.study.rows import compare
+    from crkr.experiments.study.rows import compare, comparison_cell
 
     lines = []
     for name in names:
         pairs = [(one._replace(rule=name).name, one.name) for one in anms]
         last, area = compare(rows.all, pairs, trials), compare(rows.all, pairs, trials, area=True)
-        lines.append((name, _cell(last, "gain"), _cell(last, "better"), _cell(area, "gain"), last and last.seeds))
+        lines.append(
+            (
+                name,
+                comparison_cell(last, "gain"),
+                comparison_cell(last, "better"),
+                comparison_cell(area, "gain"),
+                last and last.seeds,
+            )
+        )
     stdout.print("over all budgets and lambdas, beside ANMS")
     print_table(("rule", "gain", "P(better)", "gain in area", "pairs"), [line for line in lines if line[0] != "anms"])

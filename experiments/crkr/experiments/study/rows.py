@@ -22,6 +22,7 @@ __all__ = [
     "Rows",
     "Summary",
     "compare",
+    "comparison_cell",
     "interval",
     "judged_row",
     "print_summary",
@@ -225,6 +226,15 @@ def compare(
         return None
     wins = [0.5 + 0.5 * np.sign(differences) for differences in strata]
     return Comparison(interval(strata, _interquartile_mean), interval(wins, np.mean), sum(map(len, strata)))
+
+
+def comparison_cell(found: Comparison | None, field: str) -> str:
+    """One number of a comparison with its interval, for a table; nothing where there is none."""
+    if found is None:
+        return ""
+    value, low, high = getattr(found, field)
+    sign = "+" if field == "gain" else ""
+    return f"{value:{sign}.3f} [{low:{sign}.3f}, {high:{sign}.3f}]"
 
 
 def interval(strata: Sequence[np.ndarray], statistic: Callable[..., Any]) -> tuple[float, float, float]:

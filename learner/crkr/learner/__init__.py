@@ -18,7 +18,7 @@ from crkr.learner.model import Model
 from crkr.learner.parameters import Parameters
 from crkr.learner.regression import Regression
 from crkr.learner.samples.columns import TrialColumns
-from crkr.learner.samples.report_review import Review
+from crkr.learner.samples.store import Review
 from crkr.learner.selection.acceleration import accelerable, accelerate
 from crkr.learner.selection.anms import Anms
 from crkr.learner.selection.anms_batch import radii, radii_kdtree, top

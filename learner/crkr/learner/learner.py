@@ -20,7 +20,7 @@ from crkr.learner.model import Model
 from crkr.learner.model_builder import ModelBuilder
 from crkr.learner.samples.columns import TrialColumns
 from crkr.learner.samples.history import TrialHistory
-from crkr.learner.samples.report_review import Review, review
+from crkr.learner.samples.store import Review
 from crkr.learner.selection.anms import Anms
 from crkr.learner.selection.eligible_rows import RadiiCache
 from crkr.learner.selection.first_come import FirstCome
@@ -165,7 +165,7 @@ class Learner:
 
     def review(self, trials: Sequence[Trial]) -> Review:
         """Which of these trials are new, without storing them; raises `Conflict` as `report` would."""
-        return review(self._trials.store, trials)
+        return self._trials.store.review(trials)
 
     def recost(self, ids: Sequence[UUID | bytes], costs: object) -> int:
         """Changes the costs of trials; see `apply_recost`."""

@@ -10,8 +10,8 @@ from uuid import UUID
 
 import numpy as np
 
+from crkr.learner.exploration.draws import space_filling
 from crkr.learner.exploration.explorer import Explorer, GaussianExplorer
-from crkr.learner.exploration.initial_goals import space_filling
 from crkr.learner.exploration.success import SuccessRate
 from crkr.learner.parameters import Parameters
 from crkr.learner.regression import KernelMaker, Regression

@@ -76,7 +76,7 @@ def test_learning_past_the_budget_differs_from_stopping_at_it_once_it_is_filled(
             "--balls",
             "20",
             "--jobs",
-            "2",
+            "1",
             "--overwrite",
             "--out",
             str(tmp_path),

@@ -7,7 +7,7 @@ from uuid import UUID
 import numpy as np
 from scipy.stats import qmc
 
-from crkr.learner.exploration.initial_goals import space_filling
+from crkr.learner.exploration.draws import space_filling
 
 LOW, HIGH = np.array([-1.0, 5.0, 0.0]), np.array([1.0, 9.0, 1e-3])
 

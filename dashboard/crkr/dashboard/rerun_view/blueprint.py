@@ -61,7 +61,7 @@ def _live() -> rrb.Tabs:
         ),
         rrb.Vertical(
             rrb.Horizontal(_reasons(), _document("outcomes", "Outcomes"), _cost()),
-            rrb.Horizontal(_exploration(), _learner(), _latency()),
+            rrb.Horizontal(_exploration(), rrb.Tabs(_learner(), _drift(), active_tab=0), _latency()),
             name="Trials and learning",
         ),
         rrb.Horizontal(_document("guide", "What is this?"), _log(), name="Help and log"),

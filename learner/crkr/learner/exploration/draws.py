@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from hashlib import shake_128
+from typing import Final
 from uuid import UUID
 
 import numpy as np
@@ -18,7 +19,9 @@ from scipy.special import log_ndtr, ndtri_exp
 
 from crkr.protocol import Array
 
-__all__ = ["draw_ids", "truncated_normal", "uniforms"]
+__all__ = ["draw_ids", "space_filling", "truncated_normal", "uniforms"]
+
+_MOST: Final = 1024  # trials after which the sequence starts again: going on from far takes time
 
 
 def uniforms(seed: int, trial_ids: Sequence[UUID], size: int) -> Array:
@@ -61,3 +64,26 @@ def truncated_normal(mean: Array, sigma: Array, low: Array, high: Array, uniform
         drawn = mean + sigma * standard
     # Only where a bound is beyond the reach of log_ndtr is there no number: the draw is then at that bound.
     return np.minimum(np.maximum(np.where(np.isnan(drawn), mean, drawn), low), high)
+
+
+def space_filling(seed: int, ids: Sequence[UUID], tried: int, low: Array, high: Array) -> Array:
+    """(b, p) goals that fill the space between the bounds, for a task of which nothing is known yet.
+
+    They follow a scrambled Halton sequence [Owen2017], a point for each trial that came before, moved by a share of the
+    distance between points that the trial's id decides: workers that ask at the same moment try different goals.
+
+    Args:
+        seed: The task's.
+        ids: One a goal.
+        tried: How many trials came before.
+        low: (p,) lowest goals allowed.
+        high: (p,) highest goals allowed.
+    """
+    from scipy.stats import qmc  # takes longer to load than all else that a server needs; few tasks ask for it
+
+    b, p, first = len(ids), len(low), tried % _MOST
+    sequence = qmc.Halton(p, scramble=True, rng=np.random.default_rng(seed % 2**64))
+    points = sequence.fast_forward(first).random(b)
+    apart = (first + 1 + np.arange(b)) ** (-1.0 / p)
+    points = (points + apart[:, None] * (uniforms(seed, ids, p) - 0.5)) % 1.0
+    return np.asarray(np.clip(low * (1.0 - points) + high * points, low, high))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, Final, final
 from uuid import UUID
 
@@ -17,7 +18,7 @@ from crkr.learner.selection.anms_batch import Indices
 from crkr.protocol import KINDS, Array, Conflict, Invalid, Trial
 from crkr.protocol.trial import flags_of, may_learn, success_and_learn
 
-__all__ = ["SampleStore"]
+__all__ = ["Review", "SampleStore"]
 
 _TRIAL: Final = KINDS.index("trial")
 _DEMONSTRATION: Final = KINDS.index("demonstration")
@@ -28,6 +29,29 @@ _MAY_LEARN: Final = {
     learn_from: np.array([may_learn(*success_and_learn(flags), learn_from) for flags in range(8)])
     for learn_from in ("successes", "all")
 }
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Review:
+    """Which trials of a report are new.
+
+    Attributes:
+        fresh: Positions in the report of the trials to store, in order.
+        known: For each trial the log position it was stored under, or None.
+        same_as: For each trial the position in the report of the first one with its id; usually its own.
+    """
+
+    fresh: tuple[int, ...]
+    known: tuple[int | None, ...]
+    same_as: tuple[int, ...]
+
+    def seqs(self, first: int) -> tuple[int, ...]:
+        """Log positions in the order of the report, if the fresh trials are stored from `first` on."""
+        given = {position: first + count for count, position in enumerate(self.fresh)}
+        return tuple(
+            known if known is not None else given[same] for known, same in zip(self.known, self.same_as, strict=True)
+        )
 
 
 @final
@@ -145,12 +169,30 @@ class SampleStore:
             raise Invalid(f"{len(unknown)} unknown ids: {shown}", details={"ids": unknown[:100]})
         return [row for row in rows if row is not None]
 
-    def original(self, trial: Trial) -> int | None:
-        """Row of the same trial reported before, or None.
+    def review(self, trials: Sequence[Trial]) -> Review:
+        """Which of a report's trials are new, without storing them.
 
         Raises:
-            Conflict: Its id was reported with other content.
+            Conflict: An id comes with other content than before.
         """
+        first: dict[UUID, int] = {}
+        fresh, known, same_as = [], [], []
+        for position, trial in enumerate(trials):
+            row = self.original(trial)
+            earlier = first.setdefault(trial.id, position)
+            if earlier != position and trials[earlier].digest() != trial.digest():
+                raise Conflict(
+                    f"id {trial.id} comes twice in one report with different content; use a new id for a new trial",
+                    details={"id": str(trial.id)},
+                )
+            if row is None and earlier == position:
+                fresh.append(position)
+            known.append(None if row is None else int(self.seqs[row]))
+            same_as.append(earlier)
+        return Review(tuple(fresh), tuple(known), tuple(same_as))
+
+    def original(self, trial: Trial) -> int | None:
+        """Row of the same trial reported before, or None; raises `Conflict` where its id has other content."""
         row = self.find(trial.id)
         if row is not None and tuple(self._digests.rows[row].tolist()) != id_words(trial.digest()):
             raise Conflict(
@@ -212,10 +254,6 @@ class SampleStore:
         """Which of these rows are demonstrations."""
         demonstrated: NDArray[np.bool_] = self._kinds.rows[rows] == _DEMONSTRATION
         return demonstrated
-
-    def is_demonstration(self, row: int) -> bool:
-        """Whether this row is one."""
-        return bool(self._kinds.rows[row] == _DEMONSTRATION)
 
     def counts(self) -> dict[str, int]:
         """How many trials of each kind are stored, removed ones too."""

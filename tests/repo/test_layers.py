@@ -28,7 +28,7 @@ def _layer(parts: str, packages: str) -> Layer:
 LAYERS = {
     "protocol": _layer("", "numpy msgpack typing_extensions"),
     "learner": _layer("protocol", "numpy scipy numba"),
-    "client": _layer("protocol", "numpy zenoh typer rich pyarrow tomli async_timeout"),
+    "client": _layer("protocol", "numpy zenoh typer rich pyarrow onnx tomli async_timeout"),
     "server": _layer("protocol learner", "numpy zenoh typer rich prometheus_client psycopg"),
     "sim_worker": _layer(
         "protocol client",

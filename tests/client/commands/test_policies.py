@@ -1,5 +1,6 @@
 """Policies that are gone back to, written to files, and begun from another task's trials."""
 
+import json
 import re
 import shlex
 from collections.abc import Callable
@@ -8,6 +9,7 @@ from typing import Any
 from uuid import uuid4
 
 import numpy as np
+import onnxruntime
 import pytest
 from typer.testing import Result
 
@@ -59,6 +61,7 @@ def test_the_page_about_policies_runs_as_it_is_printed(
         task = taught(client, "throw")
         before = task.predict([[1.5]]).goals
         outputs = [run(*shlex.split(line, comments=True)[1:]).stdout for line in commands.splitlines()]
+        assert Path("policy.onnx").stat().st_size > 1000
         np.testing.assert_allclose(task.predict([[1.5]]).goals, before, rtol=0, atol=1e-9)
         assert "60 trials of throw stored, 0 known already, 0 skipped" in outputs[-1]
         exec(compile(program, "policies.md", "exec"), {})
@@ -94,6 +97,12 @@ def test_a_policys_file_says_what_the_server_says(
         assert (policy.of["version"], policy.of["task"]) == (answer.model_version, task.name)
         assert "exists" in run("export", task.name, str(path), "--policy", status=1).stderr
         run("export", task.name, str(path), "--policy", "--overwrite")
+        run("export", task.name, str(tmp_path / "policy.onnx"), "--policy")
+        session = onnxruntime.InferenceSession(tmp_path / "policy.onnx")
+        np.testing.assert_allclose(session.run(["goals"], {"states": states})[0], answer.goals, rtol=0, atol=1e-9 * 400)
+        told = session.get_modelmeta().custom_metadata_map
+        assert (told["task"], told["version"]) == (task.name, str(answer.model_version))
+        assert json.loads(told["goal_names"]) == ["v", "angle"]
         assert ".npz" in run("export", task.name, str(tmp_path / "policy.csv"), "--policy", status=1).stderr
         empty = client.create_task({**task.spec.to_dict(), "name": f"empty-{uuid4()}"})
         assert "no active sample" in run("export", empty.name, str(tmp_path / "e.npz"), "--policy", status=1).stderr

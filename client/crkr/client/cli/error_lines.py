@@ -29,6 +29,7 @@ _EXTRAS: Final = {
     "mujoco": ("sim", "gymnasium"),
     "nevergrad": ("rivals",),
     "numba": ("fast",),
+    "onnx": ("onnx",),
     "optuna": ("rivals",),
     "pinocchio": ("sim",),
     "psycopg": ("postgres",),

@@ -13,7 +13,7 @@ from crkr.client.cli.console import print_json, stderr, stdout
 from crkr.client.cli.options import Connect, Json, Overwrite, TaskName, Timeout, ZenohConfig, connected
 from crkr.client.cli.output_file import check_output
 from crkr.client.cli.progress import Progress
-from crkr.protocol import Internal, Invalid, Unsupported
+from crkr.protocol import Internal, Invalid
 
 __all__ = ["export", "import_", "warm_start"]
 
@@ -26,7 +26,7 @@ def export(
     task: TaskName,
     file: Annotated[Path, typer.Argument(dir_okay=False, help="File to write: .parquet, .csv or .npz.")],
     policy: Annotated[
-        bool, typer.Option("--policy", help="Write the policy instead, as an .npz that NumPy alone evaluates.")
+        bool, typer.Option("--policy", help="Write the policy instead, as .npz, which NumPy alone evaluates, or .onnx.")
     ] = False,
     overwrite: Overwrite = False,
     as_json: Json = False,
@@ -65,13 +65,11 @@ def export(
 
 
 def _export_policy(task: Task, file: Path, as_json: bool, *, overwrite: bool) -> None:
-    if file.suffix.lower() != ".npz":
-        raise Invalid(f"a policy is written as .npz; got {file.name!r}")
+    if file.suffix.lower() not in (".npz", ".onnx"):
+        raise Invalid(f"a policy is written as .npz or .onnx; got {file.name!r}")
     check_output(file, overwrite=overwrite)
-    try:
-        from crkr.client.mirror.policy_file import save_policy
-    except ModuleNotFoundError as error:
-        raise Unsupported("a policy's file needs the extra 'mirror': pip install 'crkr[mirror]'") from error
+    from crkr.client.mirror.policy_file import save_policy
+
     version = save_policy(task, file, overwrite=overwrite)
     if as_json:
         print_json({"task": task.name, "file": str(file), "model_version": version, "bytes": file.stat().st_size})

@@ -1,4 +1,4 @@
-"""A policy as a file that NumPy alone evaluates: `docs/policies.md` has the reader."""
+"""A policy as a file that NumPy alone evaluates, whose reader stands in `docs/policies.md`, or as an ONNX model."""
 
 from __future__ import annotations
 
@@ -26,7 +26,9 @@ class _PolicySource(Protocol):
 
 
 def save_policy(task: _PolicySource, path: Path, *, overwrite: bool = False) -> int:
-    """Writes the present policy's mean goals as an .npz file without pickles; returns its version.
+    """Writes the present policy's mean goals; returns its version.
+
+    As an .npz file without pickles, or where the name ends in .onnx as a model, states (n, d) -> goals (n, p).
 
     With z = (state - centre) / lengthscales, samples (m, d) and weights (m, p), the goal is prior + scales (k weights)
     clipped to low and high, where k = signal_variance exp(-|z - samples|^2 / 2) + linear_weight z samples^T.
@@ -40,6 +42,7 @@ def save_policy(task: _PolicySource, path: Path, *, overwrite: bool = False) -> 
     Raises:
         NoSamples: Nothing was learned yet.
         Invalid: The file exists, or cannot be written there.
+        ModuleNotFoundError: The extra 'onnx' is needed and not installed.
     """
     reply = task.model()
     with answer_to("model"):
@@ -48,23 +51,28 @@ def save_policy(task: _PolicySource, path: Path, *, overwrite: bool = False) -> 
     if regression is None:
         raise NoSamples(f"task {spec.name!r} has no active sample, so there is no policy to save")
     kernel = own.kernel
+    policy: dict[str, Any] = {
+        "format": _FORMAT,
+        "task": spec.name,
+        "version": model.version,
+        "state_names": [axis.name for axis in spec.state],
+        "goal_names": [axis.name for axis in spec.goal],
+        "centre": kernel.centre,
+        "lengthscales": kernel.lengthscales,
+        "signal_variance": kernel.signal_variance,
+        "linear_weight": kernel.linear_weight,
+        "samples": regression.Z,
+        "weights": regression.W,
+        "prior": own.prior,
+        "scales": own.scales,
+        "low": own.low,
+        "high": own.high,
+    }
     with output_file(path, overwrite=overwrite) as partial, partial.open("xb") as file:
-        np.savez(
-            file,
-            format=_FORMAT,
-            task=spec.name,
-            version=model.version,
-            state_names=[axis.name for axis in spec.state],
-            goal_names=[axis.name for axis in spec.goal],
-            centre=kernel.centre,
-            lengthscales=kernel.lengthscales,
-            signal_variance=kernel.signal_variance,
-            linear_weight=kernel.linear_weight,
-            samples=regression.Z,
-            weights=regression.W,
-            prior=own.prior,
-            scales=own.scales,
-            low=own.low,
-            high=own.high,
-        )
+        if path.suffix.lower() == ".onnx":
+            from crkr.client.mirror.onnx_policy import onnx_policy  # needs an extra of its own
+
+            file.write(onnx_policy(policy).SerializeToString())
+        else:
+            np.savez(file, **policy)
     return model.version

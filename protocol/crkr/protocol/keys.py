@@ -20,6 +20,7 @@ __all__ = [
     "claim_role_key",
     "claim_worker_key",
     "left_worker_key",
+    "live_peer_key",
     "live_role_key",
     "live_server_key",
     "live_worker_key",
@@ -75,6 +76,11 @@ def pub_key(task: str, topic: str) -> str:
 def live_server_key(server_id: str) -> str:
     """Key of a server's liveliness token."""
     return f"{ROOT}/live/server/{server_id}"
+
+
+def live_peer_key(server: str) -> str:
+    """Key of the token by which servers that share their tasks see each other; `server` is the Zenoh id of one."""
+    return f"{ROOT}/live/peer/{server}"
 
 
 def live_worker_key(task: str, worker_id: str) -> str:

@@ -12,16 +12,19 @@ import sys
 import threading
 from collections.abc import Callable
 from contextlib import ExitStack, closing
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final, NoReturn
 
 import typer
 
 if TYPE_CHECKING:
     from crkr.server.learning.tasks import ServedTask
     from crkr.server.log import TaskLog
+    from crkr.server.membership import Membership
     from crkr.server.metrics.endpoint import MetricsEndpoint
+    from crkr.server.server import ServerSettings
     from crkr.server.stderr_log import StderrLog
     from crkr.server.web_process import WebProcess
 
@@ -32,6 +35,7 @@ logger = logging.getLogger(__name__)
 _SWITCH_S: Final = 0.0001  # a prediction waits about this long for a thread that computes in Python
 _GARBAGE: Final = 10_000  # new objects between collections; almost nothing here is cyclic
 _LAST_PORT: Final = 65535
+_SEEN: Final = "CRKR_SEEN_POSITIONS"  # log positions that this process saw before it began anew
 _EXIT_PATIENCE_S: Final = 1.9  # then the process leaves as it is: everything acknowledged is committed anyway
 
 
@@ -43,6 +47,10 @@ def server(
         str, typer.Option(metavar="DIR|URL", help="Data directory, made where there is none, or postgresql://...")
     ] = "crkr-data",
     zenoh_config: Annotated[Path | None, typer.Option(help="Zenoh configuration file (JSON5).")] = None,
+    peer: Annotated[
+        list[str] | None,
+        typer.Option(metavar="ENDPOINT", help="Share the tasks of --data postgresql://... with the server there."),
+    ] = None,
     metrics: Annotated[
         str | None,
         typer.Option(metavar="[HOST:]PORT", help="Serve Prometheus metrics by HTTP, on loopback unless told."),
@@ -63,12 +71,14 @@ def server(
     log_level: Annotated[str, typer.Option(envvar="CRKR_LOG_LEVEL", help="debug, info, warning or error.")] = "info",
 ) -> None:
     """Run the policy service: `crkr server --listen tcp/127.0.0.1:7447 --data crkr-data --metrics 9464`."""
-    from crkr.protocol import printable
-    from crkr.server.log.postgres.url import printable_location
+    from crkr.protocol import ShuttingDown, printable
+    from crkr.server.log.postgres.url import is_url, printable_location
     from crkr.server.server import Server, ServerSettings
     from crkr.server.session import endpoints
     from crkr.server.thread_faults import FAULTS
 
+    if peer and not is_url(data):
+        raise typer.BadParameter("servers share the tasks of a database only", param_hint="--peer")
     log = _log_to_stderr(log_level)
     FAULTS.watch()
     _be_quick()
@@ -78,17 +88,18 @@ def server(
         stack.callback(log.flush)
         endpoint = stack.enter_context(closing(_metrics_endpoint(metrics))) if metrics else None
         pages = stack.enter_context(closing(_web_process(web))) if web else None
-        settings = ServerSettings(data, listen, zenoh_config)
+        settings = ServerSettings(data, listen, zenoh_config, peer or ())
         where = ", ".join(endpoints(listen, zenoh_config))
         about = f"crkr server {version('crkr')}"
 
         def say(what: str) -> None:
             log.add(printable(f"{about} {what}"))
 
-        while True:
-            replaced, lost = socket.socketpair()
-            opened, tasks = _open(data, where, say, lost)
-            with closing(Server(settings, opened, tasks)) as running:
+        replaced, lost = socket.socketpair()
+        opened, tasks, membership = _open(settings, where, say, lost)
+        leave: Callable[[], Any] = partial(_begin_anew, membership)
+        try:
+            with closing(Server(settings, opened, tasks, membership)) as running:
                 told = f"listening on {where}, data in {printable_location(data)}, {len(running.tasks.all())} tasks"
                 if endpoint is not None:
                     endpoint.show(running.sources)
@@ -100,33 +111,45 @@ def server(
                 serving.set()
                 ready, _, _ = select.select([told_to_stop, replaced], [], [])
                 if told_to_stop in ready:
-                    watchdog = threading.Timer(_EXIT_PATIENCE_S, os._exit, (0,))
-                    watchdog.daemon = True
-                    watchdog.start()
-                    break
-                serving.clear()
+                    leave = partial(os._exit, 0)
+                watchdog = threading.Timer(_EXIT_PATIENCE_S, leave)
+                watchdog.daemon = True
+                watchdog.start()
+        except ShuttingDown as error:
+            logger.warning("this server stands by again: %s", error.message)
     # All is closed. The interpreter's own exit is skipped: it aborts if a thread is just returning from Zenoh.
-    os._exit(0)
+    leave()
 
 
-def _open(data: str, listen: str, say: Callable[[str], None], lost: socket.socket) -> tuple[TaskLog, list[ServedTask]]:
-    """The log and its tasks; one that servers share is waited for, and `lost` is told once another server takes it."""
+def _begin_anew(membership: Membership | None) -> NoReturn:
+    """Let the process begin anew under its id: a Zenoh session that closes under load leaves threads behind."""
+    if membership is not None:
+        os.environ[_SEEN] = str(membership.positions())
+    os.execv(sys.executable, [sys.executable, *sys.orig_argv[1:]])
+
+
+def _open(
+    settings: ServerSettings, listen: str, say: Callable[[str], None], lost: socket.socket
+) -> tuple[TaskLog, list[ServedTask], Membership | None]:
+    """The log and its tasks; one that servers share is waited for, and `lost` is told once its tasks are lost."""
     from crkr.server.log.postgres.url import is_url
 
-    if not is_url(data):
+    if not is_url(settings.data):
         from crkr.server.learning.restore import open_directory
 
-        return open_directory(Path(data))
+        return *open_directory(Path(settings.data)), None
     from crkr.server.follower import Follower
+    from crkr.server.membership import Membership
 
-    opened, tasks = Follower(data, listen, say).take()
+    seen = int(os.environ.get(_SEEN, "0"))
+    follower = Follower(settings.data, listen, say, settings.peers, settings.zenoh_config, seen)
+    opened, tasks = follower.take()
 
     def tell(why: str) -> None:
         logger.warning("this server leaves the log: %s", why)
         lost.send(b"\0")
 
-    opened.keep(tell)
-    return opened, tasks
+    return opened, tasks, Membership(opened, tell)
 
 
 def _metrics_endpoint(given: str) -> MetricsEndpoint:

@@ -7,11 +7,11 @@ import math
 import os
 import threading
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, final
+from typing import TYPE_CHECKING, Any, Final, final
 from uuid import uuid4
 
 import zenoh
@@ -37,9 +37,12 @@ from crkr.server.session import DEFAULT_LISTEN, endpoints, open_session
 from crkr.server.session_renewal import SessionRenewal, cut_connections, is_broken
 from crkr.server.thread_faults import FAULTS
 from crkr.server.verbs.predict import Predictor
-from crkr.server.verbs.read import Reader
+from crkr.server.verbs.read import Reader, task_entry
 from crkr.server.verbs.report import MOST_REPORTS, Writer
 from crkr.server.workers import Workers
+
+if TYPE_CHECKING:
+    from crkr.server.membership import Membership
 
 __all__ = ["DEFAULT_LISTEN", "Server", "ServerSettings"]
 
@@ -84,11 +87,13 @@ class ServerSettings:
         data: Data directory, created if missing, or a database's URL.
         listen: Zenoh endpoint; None: the configuration file's, or tcp/127.0.0.1:7447.
         zenoh_config: Zenoh configuration file (JSON5).
+        peers: Endpoints of servers that share the log.
     """
 
     data: str
     listen: str | None = None
     zenoh_config: Path | None = None
+    peers: Sequence[str] = ()
 
 
 @final
@@ -99,6 +104,7 @@ class Server:
         settings: How it runs.
         log: Its log, which it closes.
         tasks: The log's tasks, restored.
+        membership: The server's part in a log that several serve.
 
     Attributes:
         tasks: The tasks in service.
@@ -107,16 +113,19 @@ class Server:
     Raises:
         Unavailable: The endpoint cannot be listened on.
         Invalid: The endpoint or the Zenoh configuration is not understood.
+        ShuttingDown: The servers that share the log are not reached.
     """
 
-    def __init__(self, settings: ServerSettings, log: TaskLog, tasks: Iterable[ServedTask]) -> None:
+    def __init__(
+        self, settings: ServerSettings, log: TaskLog, tasks: Iterable[ServedTask], membership: Membership | None = None
+    ) -> None:
         self.tasks = Tasks(log.reads.moves())
         self._settings = settings
-        self._log = log
+        self._log, self._membership = log, membership
         for task in tasks:
             self.tasks.add(task)
         try:
-            self._session = open_session(settings.listen, settings.zenoh_config)
+            self._session = self._open_session()
         except BaseException:
             self._log.close()
             raise
@@ -135,14 +144,24 @@ class Server:
         long = {task.name: task.seq for task in self.tasks.all() if task.seq > FEW}  # others were read row by row
         self._renewal = SessionRenewal(self._renew_session, lambda: is_broken(self._session), _give_up)
         self._seals = SealCheck(log.where, long, self._found_damage)
+        self._token: zenoh.LivelinessToken | None = None
         self._start()
 
     def _wire(self) -> Durations:
         """Connect keys, lanes and work; returns the times of the commits."""
         server_id = self._log.log_id or uuid4()
+        membership = self._membership
         predictor = Predictor(self.tasks, self._workers)
         reader = Reader(
-            server_id, self.tasks, self._log.reads, self._learning, self._workers, self._latencies, self._queues
+            server_id,
+            self.tasks,
+            self._log.reads,
+            self._learning,
+            self._workers,
+            self._latencies,
+            self._queues,
+            list if membership is None else membership.servers,
+            (lambda _: {}) if membership is None else membership.described,
         )
         writer = self._writer = Writer(self._log, self.tasks, self._workers, self._learning)
 
@@ -168,10 +187,12 @@ class Server:
         self._refit_lane = refit["refit"]
         routes = {**write, **refit, **brief, **lists, **samples, **explain, **bulk}
 
+        look_up = (lambda _: False) if membership is None else membership.look_up
+
         def intake(key: str, verbs: str, predict: Any = None, check_task: Any = None) -> None:
             served = {verb: routes[verb] for verb in verbs.split()}
             self._intakes.append(
-                Intake(self._session, key, served, self._latencies, self._refuser, predict, check_task)
+                Intake(self._session, key, served, self._latencies, self._refuser, predict, check_task, look_up)
             )
 
         verbs = "predict report status spec model samples explain"
@@ -186,11 +207,19 @@ class Server:
         for lane in self._lanes:
             lane.start()
         self._refuser.start()
+        if self._membership is not None:
+            self._membership.watch(self._session)
+            try:
+                self._membership.join(self.tasks)
+            except BaseException:
+                self.close()
+                raise
+            self._membership.start(self._writer.hand_over, self._radii.finish, task_entry)
         for intake in self._intakes:
             intake.start()
         self._workers.watch(self._session)
         # Last, as clients that see it may ask at once.
-        self._token: zenoh.LivelinessToken = self._session.liveliness().declare_token(self._token_key)
+        self._token = self._session.liveliness().declare_token(self._token_key)
         self._seals.start()
         self._renewal.start()
         FAULTS.call_on_panic(self._renewal.note_panic)
@@ -203,12 +232,18 @@ class Server:
         closing.start()
         closing.join(_RENEWAL_S)
         cut_connections(endpoints(self._settings.listen, self._settings.zenoh_config))
-        self._session = open_session(self._settings.listen, self._settings.zenoh_config)
+        self._session = self._open_session()
         self._notices.move(self._session)
+        if self._membership is not None:
+            self._membership.watch(self._session)
         for intake in self._intakes:
             intake.move(self._session)
         self._workers.watch(self._session)
         self._token = self._session.liveliness().declare_token(self._token_key)
+
+    def _open_session(self) -> zenoh.Session:
+        zenoh_id = None if self._membership is None else self._membership.zenoh_id
+        return open_session(self._settings.listen, self._settings.zenoh_config, self._settings.peers, zenoh_id)
 
     def _fit_when_due(self, task: ServedTask) -> None:
         """Queue a due fit. Learning calls this after every step until the fit begins."""
@@ -244,9 +279,12 @@ class Server:
         """Commit and answer the received requests, then stop. Requests that come meanwhile get `ShuttingDown`."""
         deadline = time.monotonic() + _DRAIN_S
         FAULTS.call_on_panic(None)
+        if self._membership is not None:
+            self._membership.stop(_DRAIN_S)
         self._renewal.stop(_DRAIN_S)
         try:
-            self._token.undeclare()  # type: ignore[no-untyped-call]  # zenoh's stub lacks the type
+            if self._token is not None:
+                self._token.undeclare()  # type: ignore[no-untyped-call]  # zenoh's stub lacks the type
         except zenoh.ZError as error:
             logger.debug("liveliness token was not undeclared: %s", error)
         for intake in self._intakes:

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Final
 
 import zenoh
 
 from crkr.protocol import MAX_MESSAGE_BYTES, CrkrError, Invalid, Unavailable
+from crkr.protocol.keys import live_peer_key
 from crkr.protocol.zenoh_files import named_files, refusing_panics
 
-__all__ = ["DEFAULT_LISTEN", "endpoints", "open_session"]
+__all__ = ["DEFAULT_LISTEN", "endpoints", "open_session", "reachable_servers"]
 
 DEFAULT_LISTEN: Final = "tcp/127.0.0.1:7447"
 
@@ -42,21 +46,32 @@ _DEFAULTS: Final[dict[str, Any]] = {
     "listen/endpoints": [DEFAULT_LISTEN],  # Zenoh's router would listen on every interface
 }
 
+_REACH_S: Final = 1.0  # for the look at other servers
+# A peer may not be there yet, or be away for a while: Zenoh goes on trying, while the session is open already.
+_PEERS: Final[dict[str, Any]] = {
+    "connect/timeout_ms": 0,
+    "connect/retry": {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 2},
+}
 _SOURCE_PLACE: Final = re.compile(r" at \S+\.rs:\d+\.?\]?")
 
 
-def open_session(listen: str | None, config_file: Path | None) -> zenoh.Session:
+def open_session(
+    listen: str | None, config_file: Path | None, peers: Sequence[str] = (), zenoh_id: str | None = None
+) -> zenoh.Session:
     """Open the router session.
 
     Args:
         listen: Endpoint, e.g. "tcp/127.0.0.1:7447"; None: the file's, or that one.
         config_file: Zenoh configuration (JSON5), for TLS, access control and the like.
+        peers: Endpoints of other servers, whose routers are linked to this one.
+        zenoh_id: The session's id, in hexadecimal digits; None: a random one.
 
     Raises:
         Invalid: The file or the endpoint is not understood.
         Unavailable: The endpoint cannot be listened on, e.g. the port is taken.
     """
-    config = _config(listen, config_file)
+    more: dict[str, Any] = {**_PEERS, "connect/endpoints": list(peers)} if peers else {}
+    config = _config(listen, config_file, more if zenoh_id is None else {**more, "id": zenoh_id})
     try:
         with refusing_panics():
             return zenoh.open(config)
@@ -66,6 +81,17 @@ def open_session(listen: str | None, config_file: Path | None) -> zenoh.Session:
         if "Address already in use" in reason:
             reason = "the port is in use; stop what listens there or choose another"
         raise Unavailable(f"cannot listen on {where}: {reason}") from error
+
+
+def reachable_servers(peers: Sequence[str], config_file: Path | None) -> set[str]:
+    """Zenoh ids of the servers that share their tasks and are seen from the first peer that answers."""
+    for peer in peers:
+        told = {"mode": "client", "connect/endpoints": [peer], "connect/timeout_ms": int(1000 * _REACH_S)}
+        config = _config(None, config_file, {**told, "listen/endpoints": []})
+        with suppress(zenoh.ZError), refusing_panics(), zenoh.open(config) as session:
+            found = session.liveliness().get(live_peer_key("*"), timeout=_REACH_S)
+            return {str(reply.ok.key_expr).rpartition("/")[2] for reply in found if reply.ok is not None}
+    return set()
 
 
 def endpoints(listen: str | None, config_file: Path | None) -> list[str]:
@@ -78,7 +104,9 @@ def _endpoints(config: zenoh.Config) -> list[str]:
     return list(listed.get("router", []) if isinstance(listed, dict) else listed)  # a map has a list for each mode
 
 
-def _config(listen: str | None, config_file: Path | None) -> zenoh.Config:
+def _config(
+    listen: str | None, config_file: Path | None, more: Mapping[str, Any] = MappingProxyType({})
+) -> zenoh.Config:
     usual = zenoh.Config()
     try:
         config = zenoh.Config() if config_file is None else zenoh.Config.from_file(str(config_file))
@@ -87,10 +115,11 @@ def _config(listen: str | None, config_file: Path | None) -> zenoh.Config:
             given |= named_files(config_file, config.get_json)
         if listen is not None:
             given["listen/endpoints"] = [listen]
-        for name, value in {**_ALWAYS, **given}.items():
+        for name, value in {**_ALWAYS, **given, **more}.items():
             config.insert_json5(name, json.dumps(value))
     except zenoh.ZError as error:
-        what = f"Zenoh configuration {config_file}" if config_file else f"endpoint {listen!r}"
+        named = ", ".join(repr(one) for one in (listen, *more.get("connect/endpoints", ())) if one is not None)
+        what = f"Zenoh configuration {config_file}" if config_file else f"endpoint {named}"
         raise _refusal(what, error) from error
     return config
 

@@ -1,5 +1,6 @@
-"""Two servers on one database, and clients that know both."""
+"""Two servers on one database, one that stands by or both with a share of the tasks, and clients that know both."""
 
+import itertools
 import os
 import signal
 import subprocess
@@ -7,7 +8,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 from uuid import UUID, uuid4
@@ -16,7 +17,7 @@ import numpy as np
 import pytest
 
 from crkr.client import Client, Task
-from crkr.protocol import TaskSpec
+from crkr.protocol import TaskSpec, Trial
 
 AXES = [{"name": name, "low": -1.0, "high": 1.0} for name in "xy"]
 SPEC = TaskSpec.from_dict({"name": "reach", "state": AXES, "goal": AXES, "budget": 30})
@@ -29,13 +30,14 @@ class Member:
     endpoint: str
     data: str
     log: Path
+    options: tuple[str, ...] = ()
     process: subprocess.Popen[bytes] | None = None
 
-    def start(self, *options: str) -> None:
+    def start(self) -> None:
         command = [sys.executable, "-m", "crkr.client", "server", "--listen", self.endpoint, "--data", self.data]
         with self.log.open("ab") as sink:
             environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
-            self.process = subprocess.Popen([*command, *options], stdout=sink, stderr=sink, env=environment)
+            self.process = subprocess.Popen([*command, *self.options], stdout=sink, stderr=sink, env=environment)
 
     def says(self, what: str, times: int = 1) -> bool:
         """Whether it has said something so many times; fails once it has ended."""
@@ -60,7 +62,7 @@ class Member:
 
 @dataclass
 class Pair:
-    """An owner, and a server that stands by."""
+    """An owner, and a server that stands by, or that shares the tasks as its peer."""
 
     url: str
     members: list[Member]
@@ -87,18 +89,23 @@ class Pair:
 def make_pair(
     make_database: Callable[[], str], postgres: Any, tmp_path: Path, processes: Any, unused_ports: list[int]
 ) -> Iterator[Callable[..., Pair]]:
-    """Starts two servers; the first, which gets the log, may reach the database by another port than the second."""
+    """Starts two servers; the first, which gets the log, may reach the database by another port than the second.
+
+    The second shares the tasks if it is given an endpoint of the first, "" for the one where it listens.
+    """
     made: list[Pair] = []
 
-    def make(port: int | None = None) -> Pair:
+    def make(port: int | None = None, peer: str | None = None) -> Pair:
         url = make_database()
         first = url if port is None else url.replace(f":{postgres.port}/", f":{port}/")
         members = [
             Member(f"tcp/127.0.0.1:{listen}", data, tmp_path / f"{name}.log")
             for name, listen, data in zip(("first", "second"), unused_ports, (first, url), strict=True)
         ]
+        if peer is not None:
+            members[1].options = ("--peer", peer or members[0].endpoint)
         made.append(Pair(url, members, processes.wait_until))
-        made[0].start(in_turn=port is not None)
+        made[0].start(in_turn=port is not None or peer is not None)
         return made[0]
 
     try:
@@ -117,9 +124,13 @@ def pair(make_pair: Callable[..., Pair]) -> Pair:
 
 @dataclass
 class Reporters:
-    """Clients that report without pause, each under ids of its own."""
+    """Clients that report without pause, each under ids of its own, and ask for goals in between.
+
+    No model that answers them is older than one before.
+    """
 
     endpoints: str
+    tasks: tuple[str, ...] = ("reach",)
     acknowledged: list[UUID] = field(default_factory=list)
     failed: list[BaseException] = field(default_factory=list)
     stop: threading.Event = field(default_factory=threading.Event)
@@ -132,14 +143,26 @@ class Reporters:
 
     def _go_on(self, seed: int) -> None:
         chance = np.random.default_rng(seed)
+        versions = dict.fromkeys(self.tasks, 0)
+        endpoints = self.endpoints.split(",")
+        endpoints = endpoints[seed % 2 :] + endpoints[: seed % 2]
         try:
-            with Client(self.endpoints, timeout_s=60) as client:
-                task = client.task("reach")
-                while not self.stop.is_set():
-                    identity = uuid4()
+            with Client(",".join(endpoints), timeout_s=60) as client:
+                tasks = [client.task(name) for name in self.tasks]
+                for number in itertools.count():
+                    if self.stop.is_set():
+                        return
+                    task, identity = tasks[number % len(tasks)], uuid4()
                     state, goal = chance.uniform(-1, 1, 2), chance.uniform(-1, 1, 2)
-                    task.report(id=identity, state=state, goal=goal, cost=float(chance.uniform()), success=True)
+                    trial = Trial.create(
+                        SPEC, id=identity, state=state, goal=goal, cost=chance.uniform(), success=True, kind="trial"
+                    )
+                    task.report_trials([trial], wait=number < len(tasks))
                     self.acknowledged.append(identity)
+                    if number % 8 < len(tasks):
+                        version = task.predict(state).model_version
+                        assert version >= versions[task.name]
+                        versions[task.name] = version
         except BaseException as error:  # told by the test's own thread
             self.failed.append(error)
 
@@ -151,13 +174,14 @@ class Reporters:
 
 @pytest.fixture
 def start_reporters() -> Iterator[Callable[[Pair], Reporters]]:
-    """Starts three of them, of the task `reach`, which is made; they know both servers."""
+    """Starts three of them, of tasks that are made, usually `reach`; they know both servers."""
     made: list[Reporters] = []
 
-    def start(pair: Pair) -> Reporters:
+    def start(pair: Pair, tasks: tuple[str, ...] = ("reach",)) -> Reporters:
         with Client(pair.endpoints, timeout_s=60) as client:
-            client.create_task(SPEC)
-        made.append(Reporters(pair.endpoints))
+            for name in tasks:
+                client.create_task(replace(SPEC, name=name))
+        made.append(Reporters(pair.endpoints, tasks))
         made[0].start(3)
         return made[0]
 

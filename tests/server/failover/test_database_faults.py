@@ -15,7 +15,7 @@ from crkr.server.follower import Follower
 from crkr.server.log import LoggedTrial, read_log
 from crkr.server.log.postgres.url import printable_location
 
-BEAT = "SELECT beat FROM crkr.log"
+BEAT = "SELECT min(beat) FROM crkr.server"
 
 
 def stored_once(url: str, acknowledged: list[Any]) -> bool:

@@ -16,14 +16,16 @@ Processes = Any
 
 
 def check_log(url: str, acknowledged: list[Any]) -> None:
-    """Every acknowledged trial is there once, the log has no gap, and log and model agree."""
+    """Every acknowledged trial is there once, no task's log has a gap, and log and model agree."""
+    stored: list[UUID] = []
     reader = read_log(url)
     try:
-        entries = list(reader.read("reach"))
+        for name in reader.tasks():
+            entries = list(reader.read(name))
+            assert [entry.seq for entry in entries] == list(range(1, len(entries) + 1))
+            stored += [entry.trial.id for entry in entries if isinstance(entry, LoggedTrial)]
     finally:
         reader.close()
-    assert [entry.seq for entry in entries] == list(range(1, len(entries) + 1))
-    stored = [entry.trial.id for entry in entries if isinstance(entry, LoggedTrial)]
     assert len(stored) == len(set(stored))
     assert set(acknowledged) <= set(stored)
     words = [sys.executable, "-m", "crkr.client", "replay", url]

@@ -14,9 +14,7 @@ from psycopg import sql
 
 from crkr.protocol import ShuttingDown, StorageError, TaskSpec, Trial
 from crkr.server.follower import Follower
-from crkr.server.learning.restore import catch_up, restore_all
-from crkr.server.learning.tasks import ServedTask
-from crkr.server.log import PendingReport, Stored, read_log
+from crkr.server.log import PendingReport, Stored
 from crkr.server.log.access import database_summary, open_unserved
 from crkr.server.log.postgres.lease import Lease
 from crkr.server.log.postgres.log import PostgresLog
@@ -94,7 +92,7 @@ def test_of_two_owners_the_later_one_writes_and_the_earlier_one_leaves(own: Call
     with pytest.raises(ShuttingDown, match="the log has moved on"):
         first.log.append_reports(report(3))
     first.log.keep(first.lose)
-    with pytest.raises(ShuttingDown, match="another server owns the log now"):
+    with pytest.raises(ShuttingDown, match="another server owns task 'reach' now"):
         first.log.recover()
     assert first.lost.wait(10)
     assert second.store(3) == ([], (4,))
@@ -105,14 +103,18 @@ def test_an_owner_that_lives_is_not_replaced_and_one_that_leaves_is_at_once(
     own: Callable[..., Owner], url: str
 ) -> None:
     first = own()
+    first.log.create(SPEC)
     lease = Lease(url)
-    assert not lease.may_take(lease.look())
-    stale = lease.look()
+    [serving] = lease.look().serving
+    assert serving.connected
+    stale, [seen] = lease.look(), lease.tasks()
     first.log.close()
-    row = lease.look()
-    assert lease.may_take(row)
-    assert not lease.take(stale)  # the owner gave a sign of life since
-    assert lease.take(row)
+    assert lease.look().serving == []
+    assert not lease.join(stale)  # the servers are others since
+    assert lease.join(lease.look())
+    [taken] = lease.take([seen])
+    assert (taken.owner, taken.epoch) == (lease.me, seen.epoch + 1)
+    assert lease.take([seen]) == []  # it changed hands since
     lease.give_up()
 
 
@@ -122,12 +124,13 @@ def test_a_server_that_dies_while_it_takes_over_is_replaced_in_turn(
     own(beats=False).log.create(SPEC)
     cut(run)
     half = Lease(url)
-    assert half.take(half.look())
+    assert half.join(half.look())
+    half.take(half.tasks())
     cut(run)  # before it restored anything
     half.give_up()
     third = own()
     assert third.store(1) == ([], (2,))
-    assert run("SELECT epoch FROM crkr.log") == [(3,)]
+    assert run("SELECT epoch FROM crkr.task") == [(3,)]
 
 
 def test_a_connection_that_ends_is_made_anew_and_nothing_is_stored_twice(
@@ -163,7 +166,7 @@ def test_what_was_stored_though_its_connection_was_lost_is_read_back(
 
         storing = threading.Thread(target=store)
         storing.start()
-        processes.wait_until(lambda: run("SELECT positions FROM crkr.log") == [(3,)])
+        processes.wait_until(lambda: run("SELECT last FROM crkr.task") == [(3,)])
         link.cut()
         storing.join(30)
         assert [type(error) for error in failures] == [ShuttingDown]
@@ -196,7 +199,7 @@ def test_a_database_that_went_back_is_refused_with_the_reason(
     with pytest.raises(ShuttingDown):
         owner.store(3)
     for _ in range(2):
-        with pytest.raises(StorageError, match="went back to an older state: it holds 2 log positions, and 3 were"):
+        with pytest.raises(StorageError, match="older state: it holds 2 log positions of task 'reach', and 3 were"):
             owner.store(3)
 
 
@@ -255,15 +258,15 @@ def test_a_command_that_writes_keeps_the_log_and_gives_it_up_where_it_is_damaged
     url: str, run: Callable[[Any], Any], processes: Any
 ) -> None:
     log = open_unserved(url)
-    [(beat,)] = run("SELECT beat FROM crkr.log")
-    processes.wait_until(lambda: run("SELECT beat FROM crkr.log")[0][0] > beat + 1)
+    [(beat,)] = run("SELECT beat FROM crkr.server")
+    processes.wait_until(lambda: run("SELECT beat FROM crkr.server")[0][0] > beat + 1)
     log.create(SPEC)
     log.append_reports(report(1))
     log.close()
     run("DELETE FROM crkr.trial")
     with pytest.raises(StorageError, match="holds 1 entries, but 2 were acknowledged"):
         open_unserved(url)
-    assert run("SELECT owner, epoch FROM crkr.log") == [(None, 2)]
+    assert run("SELECT id FROM crkr.server") == []
 
 
 def test_tables_of_another_version_or_another_program_are_refused(
@@ -271,8 +274,9 @@ def test_tables_of_another_version_or_another_program_are_refused(
 ) -> None:
     own().log.close()
     run("UPDATE crkr.log SET version = 99")
-    with pytest.raises(StorageError, match="schema version 99, this crkr knows 1: use a newer crkr"):
+    with pytest.raises(StorageError, match="schema version 99, this crkr knows 2: use a newer crkr"):
         Lease(url)
+    run("UPDATE crkr.log SET version = 2")
     run("DROP TABLE crkr.cache")
     with pytest.raises(StorageError, match="lacks its table 'cache'"):
         Lease(url)
@@ -289,43 +293,20 @@ def test_a_log_that_lacks_acknowledged_entries_is_not_opened(own: Callable[..., 
     assert isinstance(first.log, PostgresLog)
 
 
-def test_what_a_server_that_stands_by_follows_is_what_a_restart_finds(own: Callable[..., Owner], url: str) -> None:
-    log, reader = own().log, read_log(url)
-    try:
-        log.create(SPEC)
-        log.append_reports(report(1))
-        tasks = {task.name: task for task in restore_all(reader)}
-        log.append_reports(report(2) + report(3))
-        log.append_event("reach", "recost", {"ids": [UUID(int=2)], "costs": [0.25], "reason": ""})
-        log.append_event("reach", "configure", {"changes": {"budget": 2}})
-        catch_up(reader, tasks)
-        assert_alike(tasks, restore_all(reader))
-        back = {"to": 3, "ids": [], "values": [], "spec": SPEC.to_dict(), "reason": ""}
-        log.append_event("reach", "rollback", back)
-        log.append_event("reach", "rename", {"name": "grasp"})
-        log.create(replace(SPEC, name="throw"))
-        catch_up(reader, tasks)
-        assert sorted(tasks) == ["grasp", "throw"]
-        assert_alike(tasks, restore_all(reader))
-        log.append_event("throw", "delete", {"name": "deleted/throw/1"})
-        catch_up(reader, tasks)
-        assert sorted(tasks) == ["grasp"]
-    finally:
-        reader.close()
-
-
-def assert_alike(followed: dict[str, ServedTask], restored: list[ServedTask]) -> None:
-    assert {task.name for task in restored} == set(followed)
-    for task in restored:
-        other = followed[task.name]
-        assert (other.seq, other.samples, other.spec, other.eligible) == (
-            task.seq,
-            task.samples,
-            task.spec,
-            task.eligible,
-        )
-        assert other.model.version == task.model.version
-        assert other.model.ids == task.model.ids
+def test_of_reports_stored_together_those_of_a_task_that_was_taken_are_refused(
+    own: Callable[..., Owner], url: str
+) -> None:
+    log = own(beats=False).log
+    log.create(SPEC)
+    log.create(replace(SPEC, name="throw"))
+    lease = Lease(url)
+    lease.take([row for row in lease.tasks() if row.name == "throw"])
+    [reach] = report(1)
+    stored, refused = log.append_reports([reach, replace(reach, task="throw")])
+    assert isinstance(stored, Stored)
+    assert isinstance(refused, ShuttingDown)
+    assert log.reads.positions() == {"reach": 2, "throw": 1}
+    lease.give_up()
 
 
 def test_the_doctor_says_what_stands_in_a_database_and_who_owns_it(own: Callable[..., Owner], url: str) -> None:
@@ -334,6 +315,6 @@ def test_the_doctor_says_what_stands_in_a_database_and_who_owns_it(own: Callable
     owner = own()
     owner.log.create(SPEC)
     owner.store(1)
-    assert database_summary(url) == "1 tasks with 2 log positions; the server at 127.0.0.1:1 owns it"
+    assert database_summary(url) == "1 tasks with 2 log positions; served at 127.0.0.1:1"
     owner.log.close()
     assert database_summary(url) == "1 tasks with 2 log positions; no server owns it"

@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from logged_trials import SPEC, trial, trials_of
 
-from crkr.protocol import KINDS, Conflict, StorageError, pack
+from crkr.protocol import KINDS, Conflict, ShuttingDown, StorageError, pack
 from crkr.server.learning.restore import restore
 from crkr.server.log import Event, LoggedTrial, PendingReport, SqliteLog, Stored, TaskLog, read_log
 from crkr.server.log.access import copy_tasks, copy_to_file, open_unserved
@@ -107,7 +107,7 @@ def test_any_sequence_of_reports_is_stored_as_a_dictionary_would(
         expected.append(tuple(after[number][0] for number, _ in report) if fits else None)
         known = after if fits else known
     pending = [PendingReport(task, tuple(trial(number, cost) for number, cost in report)) for report in reports]
-    found: list[Stored | Conflict] = []
+    found: list[Stored | Conflict | ShuttingDown] = []
     edges = [0, *sorted(min(cut, len(pending)) for cut in cuts), len(pending)]
     for start, stop in pairwise(edges):  # however they are grouped into commits
         found += log.append_reports(pending[start:stop])

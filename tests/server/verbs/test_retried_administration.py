@@ -167,7 +167,7 @@ def test_more_than_learning_can_answer_is_refused_as_busy(
     plain: Callable[[str], zenoh.Session],
 ) -> None:
     endpoint = f"tcp/127.0.0.1:{free_port}"
-    reader = Reader(uuid4(), tasks, log.reads, learning, Workers(), Latencies(), dict)
+    reader = Reader(uuid4(), tasks, log.reads, learning, Workers(), Latencies(), dict, list, lambda _: {})
     trial = make_trial(1)
     with open_session(endpoint, None) as session:
         queries = session.declare_queryable("crkr/@v1/task/reach/**", zenoh.handlers.FifoChannel(8), complete=True)

@@ -1,20 +1,27 @@
 """Which answers are the server's: without access control any client may declare a queryable on the server's keys.
 
 Zenoh names the session that replied. The server's session is the router that a client is connected to, and a router
-accepts no second session with its id; so that router's answers are the server's, and all others are ignored. Behind
-another router, the session that answers first is taken for the server until a question to all ends without its answer.
+accepts no second session with its id; so that router's answers are the server's, and all others are ignored, but those
+of the servers with which it says that it shares its tasks. Behind another router, the session that answers first is
+taken for the server until a question to all ends without its answer.
 """
 
 from __future__ import annotations
 
 import logging
+import time
+from contextlib import suppress
 from typing import Final, final
 
 import zenoh
 
+from crkr.protocol import Invalid, encoding, pack, rpc_key, unpack
+
 __all__ = ["EVERYONE", "NotTheServer", "Trust"]
 
 _logger = logging.getLogger(__name__)
+_ASK_S: Final = 0.5
+_ASK_AGAIN_S: Final = 0.25
 EVERYONE: Final = zenoh.QueryTarget.ALL  # or a queryable declared complete would be asked instead of the server
 _TIMEOUT: Final = b"Timeout"  # Zenoh's own error, when the time of a question is over
 
@@ -34,6 +41,8 @@ class Trust:
     def __init__(self) -> None:
         self._server: zenoh.ZenohId | None = None
         self._is_router = False
+        self._sharing: frozenset[str] = frozenset()  # Zenoh ids of the servers that share its tasks
+        self._ask_at = 0.0  # [s, monotonic]
         self.strangers = 0
 
     def pick(self, session: zenoh.Session, replies: zenoh.handlers.Handler[zenoh.Reply]) -> zenoh.Reply:
@@ -68,7 +77,31 @@ class Trust:
         if replier.zid in session.info.routers_zid():  # the first answer, or the first after a restart
             self._server, self._is_router = replier.zid, True
             return True
-        return False
+        return str(replier.zid) in self._sharing or self._shares(session, str(replier.zid))
+
+    def _shares(self, session: zenoh.Session, stranger: str) -> bool:
+        """Whether the router says that this session's server shares its tasks; it is asked now and then."""
+        now = time.monotonic()
+        if now < self._ask_at:
+            return False
+        self._ask_at = now + _ASK_AGAIN_S
+        routers = set(session.info.routers_zid())
+        replies = session.get(
+            rpc_key("info"),
+            zenoh.handlers.FifoChannel(4),
+            payload=pack({"limit": 0}),
+            encoding=encoding("info"),
+            consolidation=zenoh.ConsolidationMode.NONE,
+            target=EVERYONE,
+            timeout=_ASK_S,
+        )
+        for reply in replies:
+            if reply.ok is not None and reply.replier_id is not None and reply.replier_id.zid in routers:
+                with suppress(Invalid):
+                    told = unpack(reply.ok.payload.to_bytes()).get("servers", ())
+                    self._sharing = frozenset(one for one in told if isinstance(one, str))
+                break
+        return stranger in self._sharing
 
     def _adopt(self, reply: zenoh.Reply) -> zenoh.Reply:
         """Takes another session, behind a router, for the server."""

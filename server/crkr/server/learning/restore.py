@@ -6,19 +6,29 @@ import logging
 import time
 from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from itertools import takewhile
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
 from crkr.learner import Learner, TrialColumns
-from crkr.protocol import KINDS, CrkrError, GoalDimension, StateDimension, StorageError, TaskSpec, UnknownTask
+from crkr.protocol import (
+    KINDS,
+    CrkrError,
+    GoalDimension,
+    ShuttingDown,
+    StateDimension,
+    StorageError,
+    TaskSpec,
+    UnknownTask,
+)
 from crkr.server.learning.acceleration import MUCH_TO_SEARCH, accelerate_search
 from crkr.server.learning.radii_cache import load_radii
 from crkr.server.learning.tasks import ServedTask, apply_entries
 from crkr.server.log import DELETED, Event, LoggedTrial, LogReader, SqliteLog, Visible
 
-__all__ = ["FEW", "batches", "begun", "catch_up", "open_directory", "relearned", "restore", "restore_all"]
+__all__ = ["FEW", "batches", "begun", "catch_up", "open_directory", "relearned", "restore", "restore_all", "restored"]
 
 logger = logging.getLogger(__name__)
 
@@ -52,7 +62,7 @@ def restore_all(log: LogReader) -> list[ServedTask]:
     try:
         with ThreadPoolExecutor(1) as beside:
             damage = beside.submit(log.integrity)
-            tasks = [_restored(log, name) for name in log.tasks() if not name.startswith(DELETED)]
+            tasks = [restored(log, name) for name in log.tasks() if not name.startswith(DELETED)]
         found = damage.result()
     except UnknownTask as error:
         raise StorageError(f"task log {log.where} lists a task that it does not find; restore a backup") from error
@@ -63,8 +73,8 @@ def restore_all(log: LogReader) -> list[ServedTask]:
     return tasks
 
 
-def _restored(log: LogReader, name: str) -> ServedTask:
-    """The task, or a faulty one that says why it cannot be restored."""
+def restored(log: LogReader, name: str) -> ServedTask:
+    """The task, replayed, or a faulty one that says why it cannot be; raises `StorageError` as `restore`."""
     try:
         return restore(log, name)
     except (StorageError, UnknownTask):  # the store's fault, which is everyone's
@@ -122,7 +132,7 @@ def restore(log: LogReader, name: str) -> ServedTask:
     visible = Visible.of(log.events(name), last)
     if last <= FEW:
         with task.learner.bulk():
-            _replay_at_once(task, log.read(name, 1), visible)
+            _replay_at_once(task, _upto(log.read(name, 1), last), visible)
     else:
         usable = radii is not None and last - FEW <= radii.version <= last and radii.version in visible
         upto = radii.version if radii is not None and usable else last
@@ -130,12 +140,17 @@ def restore(log: LogReader, name: str) -> ServedTask:
             accelerate_search(name)
         with task.learner.bulk(radii if usable else None):
             _replay_blocks(task, log, name, upto, visible)
-        _replay(task, log.read(name, upto), visible)
+        _replay(task, _upto(log.read(name, upto), last), visible)
     task.publish()
     if task.name != name and not task.deleted:
         raise StorageError(f"the log of task {name!r} is that of {task.name!r}; restore a backup")
     logger.info("restored task %s at log position %d in %.2f s", name, task.seq, time.monotonic() - started)
     return task
+
+
+def _upto(entries: Iterator[LoggedTrial | Event], last: int) -> Iterator[LoggedTrial | Event]:
+    """The entries up to a log position; another server may add more meanwhile."""
+    return takewhile(lambda entry: entry.seq <= last, entries)
 
 
 def relearned(log: LogReader, task: ServedTask, upto: int) -> Learner:
@@ -198,7 +213,8 @@ def catch_up(log: LogReader, tasks: dict[str, ServedTask]) -> None:
     A task that cannot go on is marked as faulty, as by `restore_all`.
 
     Raises:
-        StorageError: The log cannot be read, is damaged, or is shorter than it was.
+        StorageError: The log cannot be read, or is damaged.
+        ShuttingDown: It is shorter than it was.
     """
     positions = {name: last for name, last in log.positions().items() if not name.startswith(DELETED)}
     for gone in tasks.keys() - positions.keys():  # renamed or deleted
@@ -206,9 +222,9 @@ def catch_up(log: LogReader, tasks: dict[str, ServedTask]) -> None:
     for name, last in positions.items():
         task = tasks.get(name)
         if task is None:
-            tasks[name] = _restored(log, name)
+            tasks[name] = restored(log, name)
         elif last < task.seq:
-            raise StorageError(
+            raise ShuttingDown(
                 f"the log of task {name!r} ends at position {last} and ended at {task.seq} before: the database went "
                 "back to an older state; fail over to a copy that has it all, or restart all servers to go on with "
                 "what is there"

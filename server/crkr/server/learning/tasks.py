@@ -5,19 +5,19 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from itertools import islice
 from typing import Any, Final, final
 from uuid import UUID
 
 import numpy as np
 
 from crkr.learner import Advice, Learner, Model, TrialColumns, advise
-from crkr.protocol import KINDS, Internal, TaskSpec, UnknownTask, pack, task_id
+from crkr.protocol import KINDS, Internal, ShuttingDown, TaskSpec, UnknownTask, pack, task_id
 from crkr.server.log import Corrections, Event, LoggedTrial
 
 __all__ = ["ServedTask", "Tasks", "apply_entries", "hyperparameters"]
 
 _MOST_NAMED: Final = 20  # tasks that an error tells of
+_RETRY_MS: Final = 100
 
 
 @final
@@ -158,20 +158,25 @@ def hyperparameters(model: Model) -> dict[str, Any]:
 
 @final
 class Tasks:
-    """All tasks by name. The writer changes them.
+    """All tasks of the log by name: those in service here, and the names of those that other servers serve.
 
-    Lists of entries are copied in one step of the interpreter, so that an addition cannot interfere.
+    The writer changes the tasks, and `note_names` the names. Lists of entries are copied in one step of the
+    interpreter, so that an addition cannot interfere.
 
     Args:
         moves: The renames and deletions in the log.
+
+    Attributes:
+        creates: New tasks are this server's to make.
     """
 
     def __init__(self, moves: Iterable[Event] = ()) -> None:
         self._by_name: dict[str, ServedTask] = {}
+        self._listed: dict[str, None] = {}  # of the log, in order; empty where no other server serves
+        self.creates = True
         self._moves: dict[tuple[str, str, bytes], Event] = {}
         self._former: set[str] = set()
-        for event in moves:
-            self._note(event)
+        self.note_moves(moves)
 
     def add(self, task: ServedTask) -> None:
         """Put a task into service."""
@@ -182,16 +187,38 @@ class Tasks:
         named = {before: event.body["name"] if event.kind == "rename" else None}
         found = [(named.get(key, key), task) for key, task in self._by_name.items()]
         self._by_name = {key: task for key, task in found if key is not None}
-        self._note(event)
+        listed = (named.get(key, key) for key in self._listed)
+        self._listed = {key: None for key in listed if key is not None}
+        self.note_moves([event])
 
-    def _note(self, event: Event) -> None:
-        if "request" in event.body:
-            self._former.add(event.body["was"])
-            self._moves[event.kind, event.body["was"], event.body["request"]] = event
+    def note_moves(self, moves: Iterable[Event]) -> None:
+        """Remember renames and deletions, whose requests may be repeated."""
+        for event in moves:
+            if "request" in event.body:
+                self._former.add(event.body["was"])
+                self._moves[event.kind, event.body["was"], event.body["request"]] = event
 
     def moved(self, verb: str, name: str, request: object) -> Event | None:
         """What was done for this request already, by its asker's id; None for one that is new or has no id."""
         return self._moves.get((verb, name, request)) if isinstance(request, bytes) else None
+
+    def leave(self, name: str) -> None:
+        """Take a task out of service, which another server is to serve."""
+        listed = self._listed or dict.fromkeys(self._by_name)
+        self._by_name = {key: task for key, task in self._by_name.items() if key != name}
+        self._listed = {**listed, name: None}
+
+    def note_names(self, names: Iterable[str]) -> None:
+        """Note the names of all tasks of the log, oldest first."""
+        self._listed = dict.fromkeys(names)
+
+    def is_elsewhere(self, name: str) -> bool:
+        """Whether another server serves the task, or will soon."""
+        return name in self._listed and name not in self._by_name
+
+    def names(self) -> list[str]:
+        """Names of all tasks, oldest first."""
+        return list({**self._listed, **dict.fromkeys(self._by_name)})
 
     def find(self, name: str) -> ServedTask | None:
         """The task, or None; raises `Internal` for one that could not be restored."""
@@ -215,11 +242,19 @@ class Tasks:
         return task
 
     def look(self, name: str) -> ServedTask:
-        """The task, restored or not, to read stored data; raises `UnknownTask`."""
+        """The task, restored or not, to read stored data.
+
+        Raises:
+            UnknownTask: There is none.
+            ShuttingDown: Another server serves it, or will soon.
+        """
         task = self._by_name.get(name)
+        if task is None and self.is_elsewhere(name):
+            raise ShuttingDown(f"another server serves task {name!r}: ask again", retry_ms=_RETRY_MS)
         if task is None:
-            known = ", ".join(list(islice(self._by_name, _MOST_NAMED))) or "none yet"
-            more = f" and {len(self) - _MOST_NAMED} more" if len(self) > _MOST_NAMED else ""
+            names = self.names()
+            known = ", ".join(names[:_MOST_NAMED]) or "none yet"
+            more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
             raise UnknownTask(
                 f"no task {name!r} here; there are: {known}{more}; crkr create makes one", details={"task": name}
             )
@@ -234,19 +269,19 @@ class Tasks:
         return name in self._by_name
 
     def __len__(self) -> int:
-        return len(self._by_name)
+        return len(self.names()) if self._listed else len(self._by_name)
 
-    def page(self, after: int, limit: int) -> tuple[list[ServedTask], int | None]:
-        """At most `limit` tasks past the first `after`, oldest first, and where to go on (None at the end)."""
-        end = after + limit
-        return list(islice(self._by_name.values(), after, end)), end if end < len(self) else None
+    def page(self, after: int, limit: int) -> tuple[list[str], int | None]:
+        """At most `limit` names past the first `after`, oldest first, and where to go on (None at the end)."""
+        names, end = self.names(), after + limit
+        return names[after:end], end if end < len(names) else None
 
     def faults(self) -> dict[str, str]:
         """Faulty tasks by name, with the fault."""
         return {task.name: task.fault for task in self.all() if task.fault}
 
     def all(self) -> list[ServedTask]:
-        """Every task, oldest first, faulty ones included."""
+        """Every task in service here, oldest first, faulty ones included."""
         return list(self._by_name.values())
 
 

@@ -52,13 +52,13 @@ def database_summary(url: str) -> str:
     try:
         reader = LogReader(database)
         with database.errors("look at the task log"):
-            [(owner, address)] = database.rows("SELECT owner, address FROM log")
+            serving = [str(one) for (one,) in database.rows("SELECT address FROM server WHERE serves ORDER BY number")]
         positions = reader.positions()
         if lost := reader.lost_end():
             raise StorageError(lost)
     finally:
         database.close()
-    owned = "no server owns it" if owner is None else f"the server at {address} owns it"
+    owned = f"served at {', '.join(serving)}" if serving else "no server owns it"
     return f"{len(positions)} tasks with {sum(positions.values())} log positions; {owned}"
 
 
@@ -141,11 +141,12 @@ def open_unserved(where: str) -> TaskLog:
     lease = Lease(where)
     deadline = time.monotonic() + 2 * LEASE_S
     try:
-        while not (lease.may_take(row := lease.look()) and lease.take(row)):
+        while (roster := lease.look()).serving or not lease.join(roster):
             if time.monotonic() > deadline:
-                raise StorageError(f"the server at {row.address} uses {printable_location(where)}; stop it first")
+                user = " and ".join(member.address for member in roster.serving)
+                raise StorageError(f"the server at {user} uses {printable_location(where)}; stop it first")
             time.sleep(_LOOK_S)
-        log = PostgresLog(where, lease, row)
+        log = PostgresLog(where, lease, lease.take(lease.tasks()))
     except BaseException:
         lease.give_up()
         raise

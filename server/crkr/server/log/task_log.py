@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Protocol
 from uuid import UUID
 
-from crkr.protocol import Conflict, TaskSpec
+from crkr.protocol import Conflict, ShuttingDown, TaskSpec
 from crkr.server.log.entries import Event, LoggedTrial, PendingReport, Stored
 from crkr.server.log.reader import LogReader
 
@@ -46,8 +46,11 @@ class TaskLog(Protocol):
         """Store a new task; its create event has seq 1."""
         ...
 
-    def append_reports(self, reports: Sequence[PendingReport]) -> list[Stored | Conflict]:
-        """Store several reports in one transaction; a report in conflict leaves the others alone."""
+    def append_reports(self, reports: Sequence[PendingReport]) -> Sequence[Stored | Conflict | ShuttingDown]:
+        """Store several reports in one transaction; a report in conflict leaves the others alone.
+
+        `ShuttingDown` stands for a report of a task that another server owns now.
+        """
         ...
 
     def append_event(self, task: str, kind: str, body: Mapping[str, Any]) -> Event:

@@ -17,7 +17,7 @@ from typing import Any, Final, final
 
 import zenoh
 
-from crkr.protocol import CrkrError, Internal, UnknownTask, Unsupported
+from crkr.protocol import CrkrError, Internal, ShuttingDown, UnknownTask, Unsupported
 from crkr.server.metrics.durations import OTHER_VERB, Latencies
 from crkr.server.queries.fair_queue import RoundRobin
 from crkr.server.queries.queue import Lane, busy, shutting_down
@@ -56,8 +56,9 @@ class Intake:
         refuser: Sends refusals, as a client that does not read them must not block this thread.
         predict: Answers predict requests on the intake thread and returns those left over: patient ones for their lane,
             the others for the next round. None: this key has no predictions.
-        check_task: Raises `UnknownTask` for a task that is not served, so that its requests take no turns. None: not
-            checked here.
+        check_task: Raises `UnknownTask` for a task that is not served, so that its requests take no turns, and
+            `ShuttingDown` for one that another server answers for. None: not checked here.
+        ask_again: Given a request for an unknown task, says whether it is looked up and answered elsewhere.
     """
 
     def __init__(
@@ -69,9 +70,10 @@ class Intake:
         refuser: Refuser,
         predict: Callable[[list[Request]], Sequence[Request]] | None = None,
         check_task: Callable[[str], object] | None = None,
+        ask_again: Callable[[Request], bool] = lambda _: False,
     ) -> None:
         self._lanes, self._latencies, self._refuser, self._predict = lanes, latencies, refuser, predict
-        self._check_task = check_task
+        self._check_task, self._ask_again = check_task, ask_again
         self._surplus: deque[Callable[[], None]] = deque()  # these drop queries whose refusals have no room
         self._stopping = False
         self._key = key
@@ -152,7 +154,8 @@ class Intake:
         try:
             request = Request(query, self._latencies)
             if self._stopping:
-                self._refuse(request, shutting_down())
+                if self._is_served(request):
+                    self._refuse(request, shutting_down())
             elif request.verb == "predict" and self._predict is not None and request.size <= _SMALL:
                 self._wait(request, source.waiting)
             else:
@@ -189,12 +192,16 @@ class Intake:
                 self._refuse(request, refusal)
 
     def _is_served(self, request: Request) -> bool:
-        """Whether the task is served; if not, the request is refused."""
+        """Whether the task is served; if not, the request is refused, or let go where another server answers it."""
         try:
             if self._check_task is not None:
                 self._check_task(request.task)
+        except ShuttingDown:
+            request.let_go()
+            return False
         except UnknownTask as error:
-            self._refuse(request, error)
+            if not self._ask_again(request):
+                self._refuse(request, error)
             return False
         return True
 

@@ -36,7 +36,7 @@ from crkr.server.thread_faults import FAULTS
 from crkr.server.verbs.admin import refuse_unknown
 from crkr.server.workers import Workers
 
-__all__ = ["Reader"]
+__all__ = ["Reader", "task_entry"]
 
 _MOST: Final = 10_000  # samples or tasks in a page
 _MOST_ASKED: Final = 64  # waiting steps of a task, beyond which no sample is explained
@@ -53,6 +53,8 @@ class Reader:
 
     Args:
         queues: Verb -> {waiting, limit}, for `status`.
+        servers: Zenoh ids of the servers that share the log.
+        described: Names of tasks that others serve -> their entries in `tasks`.
     """
 
     def __init__(
@@ -64,9 +66,12 @@ class Reader:
         workers: Workers,
         latencies: Latencies,
         queues: Callable[[], Mapping[str, Any]],
+        servers: Callable[[], Sequence[str]],
+        described: Callable[[Sequence[str]], Mapping[str, bytes]],
     ) -> None:
         self._server_id, self._tasks, self._log, self._learning = server_id, tasks, log, learning
         self._workers, self._latencies, self._queues = workers, latencies, queues
+        self._servers, self._described = servers, described
         self._started, self._started_monotonic = time.time(), time.monotonic()
         self._version = version("crkr")  # of the running code, which an upgrade on disk does not change
         self._verbs: Mapping[str, Callable[[Request], None]] = {
@@ -90,13 +95,14 @@ class Reader:
     def _info(self, request: Request) -> None:
         tasks, following = self._tasks.page(*_span(request.message(), low=0))
         threads = FAULTS.summary()
+        servers = self._servers()
         request.reply(
             {
                 "protocol": PROTOCOL_VERSION,
                 "version": self._version,
                 "server_id": self._server_id,
                 "started": self._started,
-                "tasks": [task.name for task in tasks],
+                "tasks": tasks,
                 "task_count": len(self._tasks),
                 "next": following,
                 "faulty": {
@@ -104,18 +110,19 @@ class Reader:
                 },
                 "limits": {"states": MAX_STATES, "trials": MAX_TRIALS, "message_bytes": MAX_MESSAGE_BYTES},
                 **({"threads": threads} if threads else {}),
+                **({"servers": servers} if servers else {}),
             }
         )
 
     def _list_tasks(self, request: Request) -> None:
         message = request.message()
         if "after" in message or "limit" in message:
-            tasks, following = self._tasks.page(*_span(message))
-            page, whole = _entries(tasks, _PAGE_BYTES)
+            names, following = self._tasks.page(*_span(message))
+            page, whole = self._entries(names, _PAGE_BYTES)
             if not whole:
                 following = integer(message.get("after", 0), "after") + len(page)
         else:  # clients of version 0.1
-            following, (page, whole) = None, _entries(self._tasks.all(), MAX_MESSAGE_BYTES - _REST_BYTES)
+            following, (page, whole) = None, self._entries(self._tasks.names(), MAX_MESSAGE_BYTES - _REST_BYTES)
             if not whole:
                 raise Invalid(
                     f"{len(self._tasks)} tasks are too many for one message, which holds {len(page)} of these; ask for "
@@ -125,8 +132,21 @@ class Reader:
                 )
         request.reply_packed(pack_around({"next": following}, "tasks", page))
 
-    def _faults(self) -> dict[str, str]:
-        return {name: fault[:_LONGEST] for name, fault in islice(self._tasks.faults().items(), _MOST_FAULTS)}
+    def _entries(self, names: Sequence[str], most_bytes: int) -> tuple[list[bytes], bool]:
+        """Encoded entries of the tasks that fit, at least one, and whether they are all."""
+        elsewhere = [name for name in names if self._tasks.is_elsewhere(name)]
+        described = self._described(elsewhere) if elsewhere else {}
+        entries: list[bytes] = []
+        size = 0
+        for name in names:
+            entry = described.get(name)
+            if entry is None:  # served here, or its server has not said anything yet
+                entry = task_entry(self._tasks.look(name))
+            size += len(entry)
+            if entries and size > most_bytes:
+                return entries, False
+            entries.append(entry)
+        return entries, True
 
     def _spec(self, request: Request) -> None:
         request.message()
@@ -247,20 +267,8 @@ def _span(message: Mapping[str, Any], low: int = 1) -> tuple[int, int]:
     return integer(message.get("after", 0), "after"), integer(message.get("limit", 1000), "limit", low=low, high=_MOST)
 
 
-def _entries(tasks: Sequence[ServedTask], most_bytes: int) -> tuple[list[bytes], bool]:
-    """Encoded entries of the tasks that fit, at least one, and whether they are all."""
-    entries: list[bytes] = []
-    size = 0
-    for task in tasks:
-        entry = _entry(task)
-        size += len(entry)
-        if entries and size > most_bytes:
-            return entries, False
-        entries.append(entry)
-    return entries, True
-
-
-def _entry(task: ServedTask) -> bytes:
+def task_entry(task: ServedTask) -> bytes:
+    """A task as `tasks` lists it, encoded."""
     model = task.model
     about = {
         **({"fault": task.fault[:_LONGEST]} if task.fault else {}),

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import replace
 from typing import Any, Final, final
 
 from crkr.protocol import (
@@ -22,7 +24,7 @@ from crkr.protocol import (
     id_from_wire,
     refuse_absurd,
 )
-from crkr.server.learning.restore import batches, begun
+from crkr.server.learning.restore import batches
 from crkr.server.learning.tasks import ServedTask, Tasks
 from crkr.server.learning.thread import Learning
 from crkr.server.learning.waits import Waits
@@ -132,8 +134,10 @@ class Writer:
         with self._holding:
             self._held_bytes += sign * request.size
 
-    def _acknowledge(self, request: Request, task: ServedTask, asked: ReportRequest, result: Stored | Conflict) -> None:
-        if isinstance(result, Conflict):
+    def _acknowledge(
+        self, request: Request, task: ServedTask, asked: ReportRequest, result: Stored | Conflict | ShuttingDown
+    ) -> None:
+        if not isinstance(result, Stored):
             request.fail(result)
             return
         for entry in result.fresh:
@@ -161,36 +165,55 @@ class Writer:
 
     def _create(self, request: Request) -> None:
         spec = TaskSpec.from_dict(request.message())
+        if spec.name not in self._tasks and not self._tasks.is_elsewhere(spec.name):
+            if not self._tasks.creates:
+                request.let_go()  # another server makes it
+                return
+            with suppress(Conflict):  # another server made it just now
+                self._make(spec)
+                request.reply({"created": True, "spec_hash": spec.fingerprint()})
+                return
         task = self._tasks.find(spec.name)
-        if task is None:
-            check_model_fits(spec)
-            refuse_absurd(spec)
-            task = ServedTask(spec)  # raises for settings that the learner lacks, before anything is stored
-            with self._order:
-                self._recover()
-                with self.commits.timing():
-                    creation = self._log.create(spec)
-                task.begin(creation)
-                self._tasks.add(task)
-            logger.info("created task %s", spec.name)
-            request.reply({"created": True, "spec_hash": spec.fingerprint()})
-            return
-        fields = task.created.differences(spec)
+        created = self._created(spec.name) if task is None else task.created
+        fields = created.differences(spec)
         if fields:
             raise Conflict(
                 f"task {spec.name!r} exists with other {', '.join(fields)}; use its specification or another name",
                 details={"fields": fields},
             )
-        request.reply({"created": False, "spec_hash": task.created.fingerprint()})
+        request.reply({"created": False, "spec_hash": created.fingerprint()})
+
+    def _make(self, spec: TaskSpec) -> None:
+        check_model_fits(spec)
+        refuse_absurd(spec)
+        task = ServedTask(spec)  # raises for settings that the learner lacks, before anything is stored
+        with self._order:
+            self._recover()
+            with self.commits.timing():
+                creation = self._log.create(spec)
+            task.begin(creation)
+            self._tasks.add(task)
+        logger.info("created task %s", spec.name)
+
+    def _created(self, name: str) -> TaskSpec:
+        """The specification of a task that another server serves, as created."""
+        creation = self._log.reads.event(name, 1)
+        if creation is None:
+            raise StorageError(f"the log of task {name!r} does not begin with its creation; restore a backup")
+        return replace(TaskSpec.from_dict(creation.body["spec"]), name=name)
+
+    def hand_over(self, name: str, ready: Callable[[ServedTask], None]) -> None:
+        """Take a task out of service for another server, and call `ready` once all that it was told is learned."""
+        with self._order:
+            task = self._tasks.look(name)
+            self._tasks.leave(name)
+            self._learning.submit(task, (), lambda _, failure: None if failure else ready(task))
 
     def _recover(self) -> None:
         """Serve what was stored although its commit seemed to fail. The caller holds the order."""
         for name, entries in self._log.recover():
-            created = name not in self._tasks
-            if created:
-                self._tasks.add(begun(entries[0]))
             task = self._tasks.look(name)
-            for batch in batches(entries[created:], MOST_REPORTS):
+            for batch in batches(entries, MOST_REPORTS):
                 for entry in [batch] if isinstance(batch, Event) else batch:
                     task.note(entry)
                 self._learning.submit(task, batch)
@@ -219,6 +242,7 @@ class Writer:
         with self._order:
             if task.deleted:
                 raise UnknownTask(f"task {task.name!r} was deleted meanwhile", details={"task": task.name})
+            self._tasks.look(task.name)  # raises if another server serves it by now
             if configured is not None and task.configured != configured:
                 raise Conflict(f"task {task.name!r} was configured anew meanwhile; ask again")
             self._commit_change(task, change, request)
@@ -226,7 +250,7 @@ class Writer:
     def restart(self, task: ServedTask) -> None:
         """Commits that the robot has changed: the outcome model restarts from the newest trials. For learning."""
         with self._order:
-            if task.archived or task.deleted:
+            if task.archived or task.deleted or task.name not in self._tasks:
                 return
             try:
                 self._recover()
@@ -277,7 +301,7 @@ class Writer:
             raise Conflict(
                 f"task {task.name!r} has {len(alive)} workers, {alive[0]!r} among them; end them before a {change.kind}"
             )
-        if change.kind == "rename" and change.body["name"] in self._tasks:
+        if change.kind == "rename" and change.body["name"] in self._tasks.names():
             raise Conflict(f"there is a task {change.body['name']!r} already; choose another name")
 
     def _await(self, task: ServedTask, event: Event | tuple[()], seq: int, change: Change, request: Job) -> None:

@@ -16,11 +16,11 @@ from crkr.server.log.postgres.url import printable_location
 
 __all__ = ["PostgresDatabase"]
 
-_ACKNOWLEDGED: Final = "SELECT positions - purged FROM log"
+_ACKNOWLEDGED: Final = "SELECT coalesce(sum(last), 0) FROM task"
 _SIZE: Final = """SELECT sum(pg_total_relation_size(oid)) FROM pg_class
                   WHERE relkind = 'r' AND relnamespace = 'crkr'::regnamespace"""
 _STRAYS: Final = """SELECT count(*) FROM (SELECT task FROM event UNION SELECT task FROM trial
-                    UNION SELECT task FROM cache EXCEPT SELECT id FROM task) AS stray"""
+                    UNION SELECT task FROM cache UNION SELECT task FROM summary EXCEPT SELECT id FROM task) AS stray"""
 
 
 @final

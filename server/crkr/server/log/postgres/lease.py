@@ -1,9 +1,11 @@
-"""Ownership of a log: the one row of the table `log` says which server may write to it.
+"""Which servers share a log, and which of them owns each task.
 
-Each take raises the epoch, and each write names the epoch of its server, so that a server that was replaced cannot
-write any more. The lease only decides when another server may take: when the owner gave it up,
-when its connection to the database is gone, as after a kill, or when it raised no `beat` for `LEASE_S` while the other
-server watched. No clock is compared with another one's.
+Each server has a row, whose `beat` it raises. Where a server leaves in order, or another finds it dead, the row is
+deleted, and its tasks are free. A server is dead when its connection to the database is gone, as after a kill, or when
+it raised no beat for `LEASE_S` while the other watched. No clock is compared with another one's.
+
+Each take of a task raises the epoch in the task's row, and each write names the epoch that its server took. So a server
+that was replaced cannot write any more, whatever it believes.
 """
 
 from __future__ import annotations
@@ -12,187 +14,278 @@ import logging
 import socket
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Final, final
 from uuid import UUID, uuid4
 
 import psycopg
 
-from crkr.server.log.postgres.connection import connect, database_errors, prepare
+from crkr.protocol import CrkrError, ShuttingDown
+from crkr.server.log.postgres.connection import RETRY_MS, connect, database_errors, prepare
 from crkr.server.thread_faults import keep_running
 
-__all__ = ["LEASE_S", "Lease", "Ownership"]
+__all__ = ["LEASE_S", "Lease", "Member", "Roster", "TaskRow"]
 
 logger = logging.getLogger(__name__)
 
 LEASE_S: Final = 3.0
 _BEAT_S: Final = LEASE_S / 6
+_LOOK_S: Final = 0.1  # between looks at the other servers
 _KNOCK_S: Final = 0.3  # for the connection to another server
-_LOOK: Final = """SELECT id, epoch, positions, beat, owner, address, EXISTS (SELECT FROM pg_stat_activity AS session
-                    WHERE session.pid = backend AND coalesce(session.backend_start, log.backend_start)
-                          = log.backend_start) FROM log"""
-_SESSION: Final = """backend = pg_backend_pid(), backend_start =
-                     (SELECT backend_start FROM pg_stat_activity WHERE pid = pg_backend_pid())"""
-_TAKE: Final = f"""UPDATE log SET epoch = epoch + 1, beat = beat + 1, owner = %s, address = %s, {_SESSION}
-                   WHERE epoch = %s AND beat = %s AND positions >= %s RETURNING epoch"""
-_BEAT: Final = "UPDATE log SET beat = beat + 1 WHERE epoch = %s RETURNING standbys"
-_RETURN: Final = f"UPDATE log SET beat = beat + 1, {_SESSION} WHERE epoch = %s RETURNING standbys"
-_GIVE_UP: Final = "UPDATE log SET beat = beat + 1, owner = NULL, backend = NULL WHERE epoch = %s"
-_STAND_BY: Final = """UPDATE log SET standbys = (array_append(array_remove(standbys, %(me)s), %(me)s))
-                      [greatest(1, cardinality(array_remove(standbys, %(me)s)) - 6):]"""
+_STARTED: Final = "(SELECT backend_start FROM pg_stat_activity WHERE pid = pg_backend_pid())"
+_ENTER: Final = f"""INSERT INTO server (id, address, backend, backend_start)
+                    VALUES (%s, %s, pg_backend_pid(), {_STARTED})"""
+_POSITIONS: Final = "(SELECT coalesce(sum(last), 0)::bigint + purged FROM task)"
+_LOOK: Final = f"""SELECT log.id, epoch, {_POSITIONS}, server.id, number, address,
+                    serves, beat, EXISTS (SELECT FROM pg_stat_activity AS session
+                    WHERE session.pid = backend AND coalesce(session.backend_start, server.backend_start)
+                          = server.backend_start) FROM log LEFT JOIN server ON true ORDER BY number"""
+_BEAT: Final = "UPDATE server SET beat = beat + 1 WHERE id = %s RETURNING true"
+_RETURN: Final = f"""UPDATE server SET beat = beat + 1, backend = pg_backend_pid(), backend_start = {_STARTED}
+                     WHERE id = %s RETURNING true"""
+_JOIN: Final = f"""WITH told AS (UPDATE log SET epoch = epoch + 1 WHERE epoch = %s
+                                AND {_POSITIONS} >= %s RETURNING one)
+                  UPDATE server SET serves = true FROM told WHERE id = %s RETURNING true"""
+_REMOVE: Final = """WITH gone AS (DELETE FROM server WHERE id = %s AND beat = coalesce(%s, beat) RETURNING id)
+                    UPDATE log SET epoch = epoch + 1 FROM gone RETURNING epoch"""
+_TASKS: Final = "SELECT id, name, last, epoch, owner FROM task ORDER BY id"
+_TAKE: Final = """WITH taken AS (UPDATE task SET owner = server.id, epoch = task.epoch + 1
+                    FROM unnest(%s::bigint[], %s::bigint[]) AS seen(id, epoch), server
+                    WHERE task.id = seen.id AND task.epoch = seen.epoch AND server.id = %s
+                    RETURNING task.id, name, last, task.epoch, owner),
+                  told AS (UPDATE log SET epoch = epoch + 1 WHERE EXISTS (SELECT FROM taken))
+                  SELECT * FROM taken ORDER BY id"""
+_GIVE: Final = """WITH given AS (UPDATE task SET owner = NULL WHERE id = %s AND epoch = %s RETURNING id)
+                  UPDATE log SET epoch = epoch + 1 FROM given"""
 _ADDRESS: Final = "SELECT coalesce(host(inet_client_addr()), '127.0.0.1')"
 
 
 @final
 @dataclass(frozen=True, slots=True)
-class Ownership:
-    """The row as it was read.
+class Member:
+    """A server's row.
+
+    Attributes:
+        id: Of the server and of its Zenoh session.
+        number: The order in which servers came.
+        address: Where it listens once it serves.
+        serves: It may own tasks; otherwise it stands by.
+        beat: Changes as long as it lives.
+        connected: Its connection to the database stands.
+    """
+
+    id: UUID
+    number: int
+    address: str
+    serves: bool
+    beat: int
+    connected: bool
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class TaskRow:
+    """A task's row: its key, name, last log position, how often it was taken, and who took it last."""
+
+    key: int
+    name: str
+    last: int
+    epoch: int
+    owner: UUID | None
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Roster:
+    """The servers of a log at a moment.
 
     Attributes:
         log_id: Identifies the log.
-        epoch: How often it was taken.
-        positions: Log positions of all tasks together.
-        beat: Changes as long as the owner lives.
-        owner: The server that owns it; None: it was given up.
-        address: Where that server listens.
-        connected: The owner's connection to the database stands.
+        epoch: Changes with the servers, the tasks' owners and the tasks' names.
+        positions: Log positions of all tasks together, purged ones included.
+        members: The living ones, those that came first before others.
     """
 
     log_id: UUID
     epoch: int
     positions: int
-    beat: int
-    owner: UUID | None
-    address: str | None
-    connected: bool
+    members: tuple[Member, ...]
+
+    @property
+    def serving(self) -> list[Member]:
+        """Those that may own tasks."""
+        return [member for member in self.members if member.serves]
 
 
 @final
 class Lease:
-    """One server's claim to a log: first it watches, then it takes, then it keeps what it took.
+    """One server's part in a log: it watches the others, serves with them, and takes tasks; any thread may call it.
 
     Args:
         url: The database.
-        port: Where this server listens once it owns the log; None if unknown.
+        port: Where this server listens once it serves; None if unknown.
 
     Attributes:
-        epoch: The one taken; 0 before.
+        me: The server's id.
+        roster: As it was seen last on the thread of `keep`; None before, and while the database is away.
+        positions: The most log positions that a look found.
 
     Raises:
         StorageError: The tables are of another version, or the database refuses.
-        ShuttingDown: The database is away.
+        ShuttingDown: The database is away, or other servers took this one for dead.
     """
 
     def __init__(self, url: str, port: int | None = None) -> None:
-        self.epoch = 0
-        self._url, self._port, self._me = url, port, uuid4()
+        self.me: Final = _zenoh_id()
+        self.roster: Roster | None = None
+        self.positions = 0
+        self._url, self._port = url, port
         self._connection: psycopg.Connection[Any] | None = None
-        self._address = ""
+        self._using = threading.RLock()
         self._reconnected: float | None = None  # [s, monotonic]
-        self._seen: tuple[int, int] | None = None  # epoch and beat
-        self._unchanged_since = 0.0
+        self._beaten = 0.0
+        self._watched: dict[UUID, tuple[int, float]] = {}  # a server's beat, and since when it is that
+        self._away, self._standing_by = False, list[str]()
         self._stopped = threading.Event()
-        self._standbys: Sequence[str] = ()
-        self._away = False
         self._thread: threading.Thread | None = None
         try:
             with database_errors("open the task log"):
-                prepare(self._connected(), url, create=True)
-                if self._port is not None:
-                    self._connected().execute(_STAND_BY, {"me": self._address})
+                connection = self._connected()
+                prepare(connection, url, create=True)
+                [host] = connection.execute(_ADDRESS).fetchone() or ("",)
+                connection.execute(_ENTER, (self.me, f"{host}:{port or 0}"))
+                self._beaten = time.monotonic()
         except BaseException:
             self.give_up()
             raise
 
-    def look(self) -> Ownership:
-        """Read the row; raises as `Lease` does."""
-        connection = self._connection
-        with database_errors("read who owns the task log", connection):
-            row = self._connected().execute(_LOOK).fetchone()
-        if row is None:
-            raise RuntimeError("the table log has no row")
-        return Ownership(*row)
+    def look(self) -> Roster:
+        """Read who is there, give a sign of life where one is due, and remove the dead; raises as the class does."""
+        with self._using, database_errors("read who owns the task log", self._connection):
+            back = self._connection is None or self._connection.closed
+            connection = self._connected()
+            if back or time.monotonic() - self._beaten >= _BEAT_S:
+                if connection.execute(_RETURN if back else _BEAT, (self.me,)).fetchone() is None:
+                    raise ShuttingDown("another server took this one for dead, and its tasks", retry_ms=RETRY_MS)
+                self._beaten = time.monotonic()
+            rows = connection.execute(_LOOK).fetchall()
+            if not rows:
+                raise RuntimeError("the table log has no row")
+            members = tuple(Member(*row[3:]) for row in rows if row[3] is not None)
+            log_id, epoch, positions = rows[0][:3]
+            roster = Roster(log_id, epoch, positions, members)
+            self.positions = max(self.positions, roster.positions)
+            for member in members:
+                if member.id != self.me and self._is_dead(member):
+                    gone = connection.execute(_REMOVE, (member.id, member.beat)).fetchone()
+                    if gone is not None:  # it gave no sign of life since
+                        left = tuple(one for one in roster.members if one.id != member.id)
+                        roster = replace(roster, epoch=gone[0], members=left)
+                        logger.warning("the server at %s is gone", member.address)
+            return roster
 
-    def may_take(self, row: Ownership) -> bool:
-        """Whether the owner is gone; call it again and again with the latest row."""
+    def _is_dead(self, member: Member) -> bool:
         now = time.monotonic()
-        if self._seen != (row.epoch, row.beat):
-            self._seen, self._unchanged_since = (row.epoch, row.beat), now
-        if row.owner is None:
+        beat, since = self._watched.get(member.id, (None, now))
+        if beat != member.beat:
+            since = now
+            self._watched[member.id] = member.beat, since
+        # After a restart of the database nobody is connected yet: a server that lives comes back within its lease.
+        if not member.connected and (self._reconnected is None or now - self._reconnected > LEASE_S):
             return True
-        # Behind a restart of the database nobody is connected yet: an owner that lives comes back within its lease.
-        if not row.connected and (self._reconnected is None or now - self._reconnected > LEASE_S):
-            return True
-        return now - self._unchanged_since > LEASE_S
+        return now - since > LEASE_S
 
-    def take(self, row: Ownership) -> bool:
-        """Own the log from now on, unless it changed hands, or its owner gave a sign of life, since `row` was read."""
-        connection = self._connection
-        with database_errors("take the task log", connection):
-            values = (self._me, self._address, row.epoch, row.beat, row.positions)
-            taken = self._connected().execute(_TAKE, values).fetchone()
-        if taken is None:
-            return False
-        self.epoch = int(taken[0])
-        return True
+    def join(self, roster: Roster) -> bool:
+        """Serve from now on, unless the servers or owners changed since the roster was read."""
+        return self._run("join the servers", _JOIN, roster.epoch, roster.positions, self.me) != []
 
-    def keep(self, lost: Callable[[str], None]) -> None:
-        """Give signs of life on a thread of its own, and tell once why the log is lost."""
-        step = partial(self._beat, lost)
+    def tasks(self) -> list[TaskRow]:
+        """All tasks, the oldest first."""
+        return [TaskRow(*row) for row in self._run("read who owns the tasks", _TASKS)]
+
+    def take(self, rows: Iterable[TaskRow]) -> list[TaskRow]:
+        """Own these tasks, but not those that changed hands since they were read; returns the rows of those taken."""
+        seen = [(row.key, row.epoch) for row in rows]
+        keys, epochs = [key for key, _ in seen], [epoch for _, epoch in seen]
+        return [TaskRow(*row) for row in self._run("take tasks", _TAKE, keys, epochs, self.me)]
+
+    def give(self, key: int, epoch: int) -> None:
+        """Let another server have a task."""
+        self._run("hand a task over", _GIVE, key, epoch)
+
+    def keep(self, lost: Callable[[str], None], seen: Callable[[], None] = lambda: None) -> None:
+        """Look on a thread of its own, tell of each look, and tell once why this server may not serve any more."""
+        step = partial(self._step, lost, seen)
         self._thread = threading.Thread(target=keep_running, args=(step,), name="lease", daemon=True)
         self._thread.start()
 
     def give_up(self) -> None:
-        """Let another server take the log at once; idempotent."""
+        """Let other servers have the tasks at once; idempotent."""
         self._stopped.set()
         if self._thread is not None:
             self._thread.join(_BEAT_S)
         if self._connection is not None and (self._thread is None or not self._thread.is_alive()):
             with self._connection, suppress(psycopg.Error):
-                if self.epoch and not self._connection.closed:
-                    self._connection.execute(_GIVE_UP, (self.epoch,))
+                if not self._connection.closed:
+                    self._connection.execute(_REMOVE, (self.me, None))
 
-    def _beat(self, lost: Callable[[str], None]) -> bool:
-        if self._stopped.wait(_BEAT_S):
+    def _step(self, lost: Callable[[str], None], seen: Callable[[], None]) -> bool:
+        known = self.roster
+        alone = known is not None and len(known.members) == 1
+        if self._stopped.wait(_BEAT_S if alone or self._away else _LOOK_S):
             return False
         try:
-            back = self._connection is None or self._connection.closed
-            found = self._connected().execute(_RETURN if back else _BEAT, (self.epoch,)).fetchone()
-        except psycopg.Error as error:
+            self.roster = self.look()
+        except CrkrError as error:
+            if isinstance(error, ShuttingDown) and error.__cause__ is None:
+                lost(error.message)
+                return False
             if not self._away:
-                logger.warning("the database is away, reports wait: %s", " ".join(str(error).split()))
-            self._away = True
-            if self._connection is not None:
-                self._connection.close()
+                logger.warning("reports wait: %s", error.message.partition(";")[0])
+                self._standing_by = [one.address for one in known.members if not one.serves] if known else []
+            self._away, self.roster = True, None
+            self._discard()
             if (other := self._successor()) is not None:
                 lost(f"another server answers at {other}, and the database is away from here")
                 return False
-            return True
-        if found is None:
-            lost("another server owns the log now")
-            return False
-        if self._away:
-            logger.info("the database is back")
-        self._away = False
-        self._standbys = [one for one in found[0] if one != self._address]
+        else:
+            if self._away:
+                logger.info("the database is back")
+            self._away = False
+        seen()
         return True
 
     def _successor(self) -> str | None:
-        """The address of a server that stood by and listens now, which it does only once it owns the log."""
-        for address in self._standbys:
+        """The address of a server that stood by and listens now, which it does only once it owns tasks."""
+        for address in self._standing_by:
             host, _, port = address.rpartition(":")
             with suppress(OSError), socket.create_connection((host, int(port)), _KNOCK_S):
                 return address
         return None
+
+    def _run(self, doing: str, statement: Any, *values: object) -> list[tuple[Any, ...]]:
+        with self._using, database_errors(doing, self._connection):
+            cursor = self._connected().execute(statement, values)
+            return cursor.fetchall() if cursor.description else []
+
+    def _discard(self) -> None:
+        with self._using:
+            if self._connection is not None:
+                self._connection.close()
 
     def _connected(self) -> psycopg.Connection[Any]:
         if self._connection is None or self._connection.closed:
             before, self._connection = self._connection, connect(self._url)
             if before is not None:
                 self._reconnected = time.monotonic()
-            row = self._connection.execute(_ADDRESS).fetchone()
-            self._address = f"{row[0] if row else ''}:{self._port or 0}"
         return self._connection
+
+
+def _zenoh_id() -> UUID:
+    """A random id whose first digit is not 0, as Zenoh asks for."""
+    while (made := uuid4()).hex.startswith("0"):
+        pass
+    return made

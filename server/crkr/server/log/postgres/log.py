@@ -5,8 +5,8 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, Final, final
-from uuid import UUID
 
 import psycopg
 from psycopg import errors, sql
@@ -14,87 +14,53 @@ from psycopg import errors, sql
 from crkr.protocol import Conflict, ShuttingDown, StorageError, TaskSpec
 from crkr.server.log.entries import DELETED, Event, LoggedTrial, PendingReport, Stored
 from crkr.server.log.new_rows import NewRows, changed_marks, event_row, new_name
+from crkr.server.log.postgres import statements
 from crkr.server.log.postgres.connection import RETRY_MS, connect, database_errors
 from crkr.server.log.postgres.database import PostgresDatabase
-from crkr.server.log.postgres.lease import Lease, Ownership
+from crkr.server.log.postgres.lease import Lease, TaskRow
 from crkr.server.log.reader import LogReader
-from crkr.server.log.rows import ROW_COLUMNS, TRIAL_COLUMNS, body_digest
+from crkr.server.log.rows import TRIAL_COLUMNS, body_digest
 
 __all__ = ["PostgresLog"]
 
 logger = logging.getLogger(__name__)
 
 _CLOSE_PATIENCE_S: Final = 0.5  # with a commit that is under way
-_EVENT_COLUMNS: Final = "task, seq, time, kind, body, digest"
-_TYPES: Final = {
-    "task": "bigint",
-    "seq": "bigint",
-    "time": "double precision",
-    "kind": "smallint",
-    "success": "smallint",
-    "cost": "double precision",
-    "model_version": "bigint",
-    "present_cost": "double precision",
-    "removed": "smallint",
-}
-# The first part of each write: it finds no row where another server took the log, or added to it. Whatever else the
-# statement does depends on that row, so that all of it happens or nothing, in one commit and one round trip.
-_FENCE: Final = """WITH fence AS (UPDATE log SET positions = positions + %b WHERE epoch = %b AND positions = %b
-                                  RETURNING one)"""
-
-
-def _arrays(columns: str, types: Mapping[str, str]) -> str:
-    return ", ".join(f"%b::{types.get(column, 'bytea')}[]" for column in columns.split(", "))
-
-
-def _insert(table: str, columns: str, types: Mapping[str, str]) -> str:
-    return f"INSERT INTO {table} ({columns}) SELECT new.* FROM fence, unnest({_arrays(columns, types)}) AS new"
-
-
-_EVENT_TYPES: Final = {**_TYPES, "kind": "text"}
-_APPEND: Final = f"""{_FENCE}, kept AS ({_insert("trial", f"task, {TRIAL_COLUMNS}", _TYPES)})
-                     SELECT count(*) FROM fence"""
-_EVENT: Final = f"""{_FENCE}, kept AS ({_insert("event", _EVENT_COLUMNS, _EVENT_TYPES)}),
-    marked AS (UPDATE trial SET present_cost = new.cost, removed = new.removed, digest = new.digest FROM fence,
-        unnest(%b::double precision[], %b::smallint[], %b::bytea[], %b::bigint[], %b::bytea[])
-            AS new(cost, removed, digest, task, id) WHERE trial.task = new.task AND trial.id = new.id)
-    , named AS (UPDATE task SET name = coalesce(%b::text, name) FROM fence WHERE id = %b::bigint)
-    SELECT count(*) FROM fence"""
-_CREATE: Final = f"""{_FENCE}, listed AS (INSERT INTO task (id, name) SELECT %b::bigint, %b::text FROM fence),
-    kept AS ({_insert("event", _EVENT_COLUMNS, _EVENT_TYPES)}) SELECT count(*) FROM fence"""
-_ADOPT_TRIALS: Final = f"INSERT INTO trial (task, {ROW_COLUMNS}) VALUES ({', '.join(['%b'] * 16)})"
-_ADOPT_EVENTS: Final = f"INSERT INTO event ({_EVENT_COLUMNS}) VALUES ({', '.join(['%b'] * 6)})"
-_HOLD: Final = "UPDATE log SET positions = positions + %s WHERE epoch = %s AND positions = %s RETURNING one"
-_PURGE: Final = "UPDATE log SET purged = purged + %s WHERE epoch = %s RETURNING one"
-_PATIENT: Final = "SET LOCAL statement_timeout = 0"  # a whole task's rows take long
-_KNOWN: Final = "SELECT id, seq, digest FROM trial WHERE task = %b AND id = ANY(%b::bytea[])"
-_ROWS: Final = f"SELECT {ROW_COLUMNS} FROM trial WHERE task = ? AND id = ?"
-_CACHE: Final = """INSERT INTO cache (task, version, data, digest) VALUES (%b, %b, %b, %b) ON CONFLICT (task) DO UPDATE
-                   SET version = excluded.version, data = excluded.data, digest = excluded.digest"""
 _WORKER: Final = TRIAL_COLUMNS.split(", ").index("worker") + 1  # behind the task
 
 
 @final
+@dataclass(slots=True)
+class _Owned:
+    """A task's key, the epoch at which this server took it, and the last log position that it knows of."""
+
+    key: int
+    epoch: int
+    last: int
+
+
+@final
 class PostgresLog:
-    """A `TaskLog` by its URL, for the server that owns it.
+    """A `TaskLog` by its URL, for a server that owns some of its tasks.
 
     Args:
         url: The database.
-        lease: Taken.
+        lease: The server's; it is given up on `close`.
+        rows: The tasks that were taken.
 
     Raises:
         StorageError: The tables hold less than was acknowledged, or are damaged.
         ShuttingDown: The database is away.
     """
 
-    def __init__(self, url: str, lease: Lease, row: Ownership) -> None:
-        self._url, self._lease, self._database = url, lease, PostgresDatabase(url)
-        self.log_id: Final[UUID] = row.log_id
+    def __init__(self, url: str, lease: Lease, rows: Iterable[TaskRow] = ()) -> None:
+        self._url, self.lease, self._database = url, lease, PostgresDatabase(url)
         self.reads: Final = LogReader(self._database)
+        self._owned: dict[str, _Owned] = {}
+        for row in rows:
+            self.own(row)
         try:
-            self._last = self.reads.positions()
-            self._keys = {name: key for key, name in self._rows("SELECT id, name FROM task")}
-            [(self._positions,)] = self._rows("SELECT positions FROM log")
+            [(self.log_id,)] = self._rows("SELECT id FROM log")
             if lost := self.reads.lost_end():
                 raise StorageError(f"{lost}; restore a backup")
         except BaseException:
@@ -103,6 +69,7 @@ class PostgresLog:
         self._writer: psycopg.Connection[Any] | None = None
         self._writing = threading.Lock()
         self._unknown = self._closing = self._closed = False
+        self._naming = ""  # a task's name that is being stored
         self._lost: Callable[[str], None] = lambda _: None
 
     @property
@@ -110,48 +77,68 @@ class PostgresLog:
         """The URL, with its password if it has one: whoever reads the log by it needs that."""
         return self._url
 
-    def keep(self, lost: Callable[[str], None]) -> None:
-        """Keep the lease until `close`, and tell why the log is lost if it is."""
+    def owns(self, task: str) -> bool:
+        """Whether this server writes to a task, or gives it that name just now."""
+        return task == self._naming or task in self._owned
+
+    def own(self, row: TaskRow) -> None:
+        """Write to a task from now on, which the lease has taken."""
+        self._owned[row.name] = _Owned(row.key, row.epoch, row.last)
+
+    def hand_over(self, task: str) -> None:
+        """Write to a task no more, and let another server take it; no write to it may be under way."""
+        own = self._owned.pop(task)
+        self.lease.give(own.key, own.epoch)
+
+    def keep(self, lost: Callable[[str], None], seen: Callable[[], None] = lambda: None) -> None:
+        """Keep the lease until `close`, and tell why the tasks are lost if they are."""
         self._lost = lost
-        self._lease.keep(lost)
+        self.lease.keep(lost, seen)
 
     def recover(self) -> list[tuple[str, list[LoggedTrial | Event]]]:
         """As `TaskLog.recover`."""
         if not self._unknown:
             return []
         with self._writing:
-            [(epoch, positions)] = self._rows("SELECT epoch, positions FROM log")
-            if epoch > self._lease.epoch:
-                self._lost("another server owns the log now")
-                raise ShuttingDown("another server owns the log now: ask that one", retry_ms=RETRY_MS)
-            if epoch < self._lease.epoch or positions < self._positions:
-                raise StorageError(
-                    f"the database went back to an older state: it holds {positions} log positions, and "
-                    f"{self._positions} were acknowledged; fail over to a copy that has them, or restart all servers "
-                    "to go on with what is there"
-                )
-            names = {str(name): int(key) for key, name in self._rows("SELECT id, name FROM task")}
+            owned = dict(self._owned)
+            rows = {row[0]: row[1:] for row in self._rows(statements.NOW, [own.key for own in owned.values()])}
             found = []
-            for name, last in self.reads.positions().items():
-                if last > (known := self._last.get(name, 0)):
-                    found.append((name, list(self.reads.read(name, known))))
-                    self._last[name], self._keys[name] = last, names[name]
-            if self._last.keys() != names.keys():  # what is served would have to change names in mid-flight
-                self._lost("a task was renamed or deleted as the connection was lost: it is read anew")
-                raise ShuttingDown("the log is read anew", retry_ms=RETRY_MS)
-            self._positions, self._unknown = positions, False
+            for name, own in owned.items():
+                now, last, epoch = rows.get(own.key, ("", own.last, own.epoch))
+                if epoch > own.epoch:
+                    self._lost("another server owns its tasks now")
+                    raise moved(name)
+                if epoch < own.epoch or last < own.last:
+                    raise StorageError(
+                        f"the database went back to an older state: it holds {last} log positions of task {name!r}, "
+                        f"and {own.last} were acknowledged; fail over to a copy that has them, or restart all servers "
+                        "to go on with what is there"
+                    )
+                if now != name:  # what is served would have to change names in mid-flight
+                    self._lost("a task was renamed or deleted as the connection was lost: it is read anew")
+                    raise moved(name)
+                if last > own.last:
+                    found.append((name, list(self.reads.read(name, own.last))))
+                    own.last = last
+            self._unknown = False
         return found
 
     def create(self, spec: TaskSpec) -> Event:
         """As `TaskLog.create`."""
-        key = max(self._keys.values(), default=0) + 1
-        event, row = event_row(key, 1, "create", {"spec": spec.to_dict()})
-        values = (key, spec.name, *([one] for one in row))
-        self._write(f"create task {spec.name!r}", _CREATE, values, 1)
-        self._keys[spec.name], self._last[spec.name] = key, 1
+        event, (_, _, *row) = event_row(0, 1, "create", {"spec": spec.to_dict()})
+        self._naming = spec.name
+        try:
+            [key] = self._write(
+                f"create task {spec.name!r}", statements.CREATE, (spec.name, 1, self.lease.me, *row, True)
+            )
+            self._owned[spec.name] = _Owned(key, 1, 1)
+        except errors.UniqueViolation:
+            raise Conflict(f"there is a task {spec.name!r} already") from None
+        finally:
+            self._naming = ""
         return event
 
-    def append_reports(self, reports: Sequence[PendingReport]) -> list[Stored | Conflict]:
+    def append_reports(self, reports: Sequence[PendingReport]) -> list[Stored | Conflict | ShuttingDown]:
         """As `TaskLog.append_reports`. Ids are looked up only if one turns out to be stored."""
         try:
             return self._append(reports, {})
@@ -159,81 +146,118 @@ class PostgresLog:
             known: dict[tuple[int, bytes], tuple[int, bytes]] = {}
             with self._writing, database_errors("look up trials", self._writer):
                 for report in reports:
-                    key = self._keys[report.task]
-                    rows = self._connected().execute(_KNOWN, (key, [one.id.bytes for one in report.trials]))
-                    known |= {(key, one): (int(seq), digest) for one, seq, digest in rows}
+                    if (own := self._owned.get(report.task)) is not None:
+                        rows = self._connected().execute(
+                            statements.KNOWN, (own.key, [one.id.bytes for one in report.trials])
+                        )
+                        known |= {(own.key, one): (int(seq), digest) for one, seq, digest in rows}
             return self._append(reports, known)
 
     def _append(
         self, reports: Sequence[PendingReport], known: Mapping[tuple[int, bytes], tuple[int, bytes]]
-    ) -> list[Stored | Conflict]:
-        last = {report.task: self._last[report.task] for report in reports}
+    ) -> list[Stored | Conflict | ShuttingDown]:
+        owned = {report.task: own for report in reports if (own := self._owned.get(report.task)) is not None}
+        last = {name: own.last for name, own in owned.items()}
         new = NewRows(last)
         results = [
-            new.add(self._keys[report.task], report, lambda key, one: known.get((key, one))) for report in reports
+            new.add(owned[report.task].key, report, lambda key, one: known.get((key, one)))
+            if report.task in owned
+            else moved(report.task)
+            for report in reports
         ]
-        if new.trials:
-            columns = [list(column) for column in zip(*new.trials, strict=True)]
-            columns[_WORKER] = [None if one is None else one.encode() for one in columns[_WORKER]]
-            self._write("store trials", _APPEND, columns, len(new.trials))
-        self._last.update(last)
-        return results
+        changed = {own.key: name for name, own in owned.items() if last[name] != own.last}
+        if not changed:
+            return results
+        columns = [list(column) for column in zip(*new.trials, strict=True)]
+        columns[_WORKER] = [None if one is None else one.encode() for one in columns[_WORKER]]
+        fence = [(key, owned[name].epoch, owned[name].last, last[name]) for key, name in changed.items()]
+        kept = self._write(
+            "store trials", statements.APPEND, [*map(list, zip(*fence, strict=True)), *columns], len(fence)
+        )
+        for key in kept:
+            owned[changed[key]].last = last[changed[key]]
+        fenced = {name for key, name in changed.items() if key not in kept}
+        return [
+            moved(report.task) if report.task in fenced and isinstance(result, Stored) else result
+            for report, result in zip(reports, results, strict=True)
+        ]
 
     def append_event(self, task: str, kind: str, body: Mapping[str, Any]) -> Event:
         """As `TaskLog.append_event`."""
-        key, seq = self._keys[task], self._last[task] + 1
-        event, row = event_row(key, seq, kind, body)
-        marks = list(changed_marks(event, lambda one: next(iter(self._rows(_ROWS, key, one)), None), key))
+        own = self._owned.get(task)
+        if own is None:
+            raise moved(task)
+        event, row = event_row(own.key, own.last + 1, kind, body)
+        marks = list(
+            changed_marks(event, lambda one: next(iter(self._rows(statements.ROWS, own.key, one)), None), own.key)
+        )
         columns = [list(column) for column in zip(*marks, strict=True)] or [[] for _ in range(5)]
-        values = (*([one] for one in row), *columns, new_name(event), key)
-        self._write(f"store {kind} of task {task!r}", _EVENT, values, 1)
-        del self._keys[task], self._last[task]
-        name = new_name(event) or task
-        self._keys[name], self._last[name] = key, seq
+        name = new_name(event)
+        fence = (name, own.key, own.epoch, own.last)
+        values = (*fence, *([one] for one in row), *columns, name is not None)
+        self._naming = name or ""
+        try:
+            self._write(f"store {kind} of task {task!r}", statements.EVENT, values)
+            own.last += 1
+            if name is not None:
+                self._owned[name] = self._owned.pop(task)
+        except errors.UniqueViolation:
+            raise Conflict(f"there is a task {name!r} already; choose another name") from None
+        finally:
+            self._naming = ""
         return event
 
     def purge(self) -> list[str]:
         """As `TaskLog.purge`. The count of positions stays, as servers that stand by compare it."""
-        gone = [name for name in self._last if name.startswith(DELETED)]
-        keys, positions = [self._keys[name] for name in gone], sum(self._last[name] for name in gone)
+        gone = [name for name in self._owned if name.startswith(DELETED)]
+        keys, positions = [self._owned[name].key for name in gone], sum(self._owned[name].last for name in gone)
         with database_errors("purge the deleted tasks"), self._writing, self._connected().transaction() as block:
-            cursor = block.connection.cursor().execute(_PATIENT)
-            for table, column in (("trial", "task"), ("event", "task"), ("cache", "task"), ("task", "id")):
-                statement = sql.SQL("DELETE FROM {} WHERE {} = ANY(%s)")
-                cursor.execute(statement.format(sql.Identifier(table), sql.Identifier(column)), (keys,))
-            if cursor.execute(_PURGE, (positions, self._lease.epoch)).fetchone() is None:
+            cursor = block.connection.cursor().execute(statements.PATIENT)
+            if cursor.execute(statements.DISOWN, (keys, self.lease.me)).rowcount < len(keys):
                 raise StorageError("cannot purge the deleted tasks: another server owns the log now")
+            cursor.execute("UPDATE log SET purged = purged + %s", (positions,))
+            for table in ("trial", "event", "cache", "summary"):
+                cursor.execute(sql.SQL("DELETE FROM {} WHERE task = ANY(%s)").format(sql.Identifier(table)), (keys,))
         for name in gone:
-            del self._keys[name], self._last[name]
+            del self._owned[name]
         return gone
 
     def adopt(self, task: str, events: Iterable[tuple[Any, ...]], trials: Iterable[tuple[Any, ...]]) -> int:
         """As `TaskLog.adopt`."""
-        key = max(self._keys.values(), default=0) + 1
         at = _WORKER - 1
-        added = 0
         with database_errors(f"copy task {task!r}"), self._writing, self._connected().transaction() as block:
-            cursor = block.connection.cursor().execute(_PATIENT)
-            cursor.execute("INSERT INTO task (id, name) VALUES (%s, %s)", (key, task))
-            cursor.executemany(_ADOPT_EVENTS, [(key, *row) for row in events])
-            added += cursor.rowcount
+            cursor = block.connection.cursor().execute(statements.PATIENT)
+            [(key,)] = cursor.execute(statements.NEW_TASK, (task, 0, self.lease.me)).fetchall()
+            cursor.executemany(statements.ADOPT_EVENTS, [(key, *row) for row in events])
+            added = cursor.rowcount
             cursor.executemany(
-                _ADOPT_TRIALS,
+                statements.ADOPT_TRIALS,
                 ((key, *row[:at], None if row[at] is None else row[at].encode(), *row[at + 1 :]) for row in trials),
             )
             added += cursor.rowcount
-            if cursor.execute(_HOLD, (added, self._lease.epoch, self._positions)).fetchone() is None:
-                raise StorageError(f"cannot copy task {task!r}: another server owns the log now")
-        self._keys[task], self._last[task] = key, added
-        self._positions += added
+            cursor.execute("UPDATE task SET last = %s WHERE id = %s", (added, key))
+        self._owned[task] = _Owned(key, 1, added)
         return added
+
+    def describe(self, entries: Mapping[str, bytes]) -> None:
+        """Keep what other servers say of tasks; a failure is no harm."""
+        named = [(own.key, entry) for name, entry in entries.items() if (own := self._owned.get(name)) is not None]
+        with self._writing, database_errors("describe the tasks", self._writer):
+            self._connected().execute(statements.DESCRIBE, [list(column) for column in zip(*named, strict=True)])
+
+    def described(self, tasks: Iterable[str]) -> dict[str, bytes]:
+        """What their servers say of tasks."""
+        return {str(name): bytes(entry) for name, entry in self._rows(statements.DESCRIBED, list(tasks))}
 
     def save_cache(self, task: str, version: int, data: bytes) -> None:
         """As `TaskLog.save_cache`."""
+        own = self._owned.get(task)
+        if own is None:
+            return
         doing = f"store the cache of task {task!r}"
         with self._writing, database_errors(doing, self._writer):
             digest = body_digest(f"cache {version}", data)
-            self._connected().execute(_CACHE, (self._keys[task], version, data, digest))
+            self._connected().execute(statements.CACHE, (own.key, version, data, digest))
 
     def sizes(self) -> tuple[int | None, None]:
         """Bytes of the tables; how much is free there is unknown here."""
@@ -247,15 +271,18 @@ class PostgresLog:
         try:
             if not self._closed:
                 self._closed = True
-                self._lease.give_up()
+                self.lease.give_up()
                 self.reads.close()
                 if self._writer is not None:
                     self._writer.close()
         finally:
             self._writing.release()
 
-    def _write(self, doing: str, statement: str, values: Sequence[Any], added: int) -> None:
-        """Run one statement that is fenced; raises `UniqueViolation` for an id that is stored."""
+    def _write(self, doing: str, statement: str, values: Sequence[Any], tasks: int = 1) -> list[int]:
+        """Run one statement that is fenced, and return the keys of the tasks it was for, or of those still owned.
+
+        Raises `UniqueViolation` for an id or a name that is stored, and `ShuttingDown` where no task is owned any more.
+        """
         with self._writing:
             if self._closing:
                 raise ShuttingDown(f"cannot {doing}: the server is leaving the log", retry_ms=RETRY_MS)
@@ -266,16 +293,15 @@ class PostgresLog:
                 with database_errors(doing, self._writer):
                     connection = self._connected()
                     sent = True
-                    fence = (added, self._lease.epoch, self._positions)
-                    row = connection.execute(statement, (*fence, *values)).fetchone()
+                    kept = [int(key) for (key,) in connection.execute(statement, values).fetchall()]
             except ShuttingDown:
                 self._unknown = sent  # it may be stored, or not
                 self._discard()
                 raise
-            if row is None or not row[0]:
-                self._unknown = True  # taken by another server, or an earlier write came late
+            self._unknown = len(kept) < tasks  # taken by another server, or an earlier write came late
+            if not kept:
                 raise ShuttingDown(f"cannot {doing}: the log has moved on; repeat it", retry_ms=RETRY_MS)
-            self._positions += added
+            return kept
 
     def _rows(self, statement: str, *values: object) -> list[tuple[Any, ...]]:
         with database_errors("read the task log"):
@@ -290,3 +316,8 @@ class PostgresLog:
         if self._writer is None or self._writer.closed:
             self._writer = connect(self._url)
         return self._writer
+
+
+def moved(task: str) -> ShuttingDown:
+    """The error for a task that another server owns now, or soon."""
+    return ShuttingDown(f"another server owns task {task!r} now: ask again", retry_ms=RETRY_MS)

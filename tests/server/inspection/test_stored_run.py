@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from shared_server import shared_server
 
 from crkr.client import Client, Task
 from crkr.protocol import CrkrError, StorageError, StoredTrial, TaskSpec, UnknownTask
@@ -24,16 +25,31 @@ SPEC = TaskSpec.from_dict(
 )
 
 
+def thrown(client: Client) -> Task:
+    """A task of two demonstrations and thirty trials, a third of them hits."""
+    task = client.create_task(SPEC)
+    state, goal = [[0.1 * n - 0.9] for n in range(30)], [[0.05 * n] for n in range(30)]
+    task.report(state=state[:2], goal=goal[:2], cost=0.5, success=True, kind="demonstration")
+    for n in range(30):
+        task.report(state=state[n], goal=goal[n], cost=n / 30, success=n % 3 == 0, info={"reason": f"r{n % 3}"})
+    return task
+
+
 @pytest.fixture
 def throw(server: Any) -> Iterator[Task]:
-    """A task of two demonstrations, thirty trials, a third of them hits, and what was changed since."""
+    """Such a task of a server that goes on."""
     with Client(server.endpoint) as client:
-        task = client.create_task(SPEC)
-        state, goal = [[0.1 * n - 0.9] for n in range(30)], [[0.05 * n] for n in range(30)]
-        task.report(state=state[:2], goal=goal[:2], cost=0.5, success=True, kind="demonstration")
-        for n in range(30):
-            task.report(state=state[n], goal=goal[n], cost=n / 30, success=n % 3 == 0, info={"reason": f"r{n % 3}"})
-        yield task
+        yield thrown(client)
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The data directory of a server that had such a task."""
+    data = tmp_path_factory.mktemp("whole") / "data"
+    with shared_server(data) as endpoint, Client(endpoint) as client:
+        client.wait_until_ready(60.0)
+        thrown(client)
+    return data
 
 
 def read(directory: Path, size: int = 7) -> tuple[TaskSpec, list[StoredTrial], dict[str, Any]]:
@@ -98,10 +114,10 @@ def test_a_copy_needs_no_server_and_is_not_written(server: Any, throw: Task, tmp
     assert not (copy / "lock").exists()
 
 
-def changed(server: Any, tmp_path: Path, statement: str) -> Path:
+def changed(whole: Path, tmp_path: Path, statement: str) -> Path:
     """A copy of the data directory whose log was tampered with."""
     copy = tmp_path / "tampered"
-    shutil.copytree(server.data, copy)
+    shutil.copytree(whole, copy)
     with closing(sqlite3.connect(copy / "crkr.sqlite3")) as log:
         log.execute(statement)
         log.commit()
@@ -119,14 +135,14 @@ def changed(server: Any, tmp_path: Path, statement: str) -> Path:
         ("DROP TABLE trial", "restore a backup"),
     ],
 )
-def test_a_damaged_log_is_named(server: Any, throw: Task, tmp_path: Path, statement: str, says: str) -> None:
+def test_a_damaged_log_is_named(whole: Path, tmp_path: Path, statement: str, says: str) -> None:
     with pytest.raises(StorageError, match=says):
-        read(changed(server, tmp_path, statement))
+        read(changed(whole, tmp_path, statement))
 
 
-def test_a_log_that_lost_its_end_is_named(server: Any, throw: Task, tmp_path: Path) -> None:
+def test_a_log_that_lost_its_end_is_named(whole: Path, tmp_path: Path) -> None:
     with pytest.raises(StorageError, match="33 were acknowledged: its end is lost"):
-        read(changed(server, tmp_path, "DELETE FROM trial WHERE seq > 30"))
+        read(changed(whole, tmp_path, "DELETE FROM trial WHERE seq > 30"))
 
 
 def test_a_file_that_is_no_log_is_named(tmp_path: Path) -> None:

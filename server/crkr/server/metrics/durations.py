@@ -1,17 +1,18 @@
-"""How long work takes and how requests end: recorded by one append, made into numbers only when they are read."""
+"""How long work takes, and how requests end."""
 
 from __future__ import annotations
 
 import threading
 import time
+from bisect import bisect_left
 from collections import Counter, deque
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import accumulate
 from typing import Any, Final, final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from crkr.protocol import ADMIN_VERBS, SERVER_VERBS, TASK_VERBS, Array
 
@@ -44,27 +45,21 @@ class Histogram:
 
 @final
 class Durations:
-    """Times of one kind of work since the start. Recording is one append without a lock; any thread may.
-
-    Times too old for `recent` are counted into the histogram and dropped.
-    """
-
-    __slots__ = ("_counted", "_counting", "_times", "_total_s")
+    """Times of one kind of work since the start; any thread may record."""
 
     def __init__(self) -> None:
-        self._times: deque[float] = deque()
-        self._counting = threading.Lock()
-        self._counted: NDArray[np.int64] = np.zeros(len(BOUNDS_S) + 1, dtype=np.int64)
+        self._recent: deque[float] = deque(maxlen=_WINDOW)
+        self._counts = [0] * (len(BOUNDS_S) + 1)
         self._total_s = 0.0
+        self._changing = threading.Lock()
 
     def record(self, seconds: float) -> None:
         """Record one time."""
-        self._times.append(seconds)
-        if len(self._times) >= 2 * _WINDOW and self._counting.acquire(blocking=False):
-            try:
-                self._count_oldest()
-            finally:
-                self._counting.release()
+        bucket = bisect_left(BOUNDS_S, seconds)
+        with self._changing:
+            self._recent.append(seconds)
+            self._counts[bucket] += 1
+            self._total_s += seconds
 
     @contextmanager
     def timing(self) -> Iterator[None]:
@@ -75,30 +70,18 @@ class Durations:
 
     def recent(self) -> Array:
         """The latest times [s], at most 1024."""
-        return np.array(self._times.copy())[-_WINDOW:]
+        with self._changing:
+            return np.array(self._recent)
 
     @property
     def count(self) -> int:
         """Number of times recorded."""
-        with self._counting:
-            return int(self._counted.sum()) + len(self._times)
+        return self.histogram().counts[-1]
 
     def histogram(self) -> Histogram:
         """Cumulative counts and sum of all times."""
-        with self._counting:  # so that no time is counted in neither
-            times = np.array(self._times.copy())
-            counts = np.cumsum(self._counted + _tally(times))
-            return Histogram(counts.tolist(), self._total_s + float(times.sum()))
-
-    def _count_oldest(self) -> None:
-        while len(self._times) >= 2 * _WINDOW:  # unless another thread was faster
-            old = np.array([self._times.popleft() for _ in range(_WINDOW)])
-            self._counted += _tally(old)
-            self._total_s += float(old.sum())
-
-
-def _tally(times: Array) -> NDArray[np.int64]:
-    return np.bincount(np.searchsorted(BOUNDS_S, times), minlength=len(BOUNDS_S) + 1)
+        with self._changing:
+            return Histogram(list(accumulate(self._counts)), self._total_s)
 
 
 @final

@@ -60,6 +60,28 @@ def test_tasks_take_turns_and_each_keeps_the_order_of_its_log(learning: Learning
     assert (one.spec.budget, other.spec.budget) == (6, 3)
 
 
+def test_trials_of_one_task_are_learned_in_one_step_whatever_other_tasks_do_between() -> None:
+    one, other = task("one"), task("other")
+    models: dict[str, list[int]] = {"one": [], "other": []}
+    learning = Learning(lambda of, _, after: models[of.name].append(after.version), lambda _: None, lambda _: None)
+    over = threading.Semaphore(0)
+    for seq in range(2, 12):
+        learning.submit(one, [LoggedTrial(seq, 0.0, trial(one, seq))])
+        learning.submit(one, ())  # as a change that changes nothing, and a report of what is known
+        learning.submit(other, configured(seq))
+    learning.submit(one, configured(12))  # this one has its place between trials of its own task
+    for seq in range(13, 23):
+        learning.submit(one, [LoggedTrial(seq, 0.0, trial(one, seq))])
+    for each in (one, other):
+        learning.submit(each, (), lambda *_: over.release())
+    learning.start()
+    for _ in range(2):
+        assert over.acquire(timeout=PATIENCE_S)
+    assert learning.close(PATIENCE_S)
+    assert models == {"one": [11, 12, 22], "other": list(range(2, 12))}
+    assert (one.spec.budget, one.eligible) == (12, 20)
+
+
 def test_a_change_to_a_long_log_leaves_the_other_tasks_a_thread(learning: Learning) -> None:
     long, other = task("long"), task("other")
     long.seq = 1_000_000
@@ -96,8 +118,8 @@ def test_a_task_that_cannot_learn_stops_alone_and_its_thread_goes_on(learning: L
     assert other.fault == ""
 
 
-def trial(of: ServedTask) -> Trial:
-    return Trial.create(of.spec, id=UUID(int=1), state=[0.1], goal=[0.2], cost=0.1, success=True)
+def trial(of: ServedTask, number: int = 1) -> Trial:
+    return Trial.create(of.spec, id=UUID(int=number), state=[0.1], goal=[0.2], cost=0.1, success=True)
 
 
 def test_a_report_is_waited_for_only_as_long_as_its_own_task_takes(

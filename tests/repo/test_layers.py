@@ -37,7 +37,7 @@ LAYERS = {
     "dashboard": _layer("protocol client", "numpy rerun starlette typer rich uvicorn"),
     "experiments": _layer(
         "protocol learner client sim_worker",
-        "numpy scipy matplotlib joblib sklearn zenoh typer rich gymnasium fancy_gym"
+        "numpy scipy matplotlib joblib sklearn zenoh typer rich gymnasium fancy_gym ray"
         " botorch gpytorch nevergrad optuna ribs stable_baselines3 torch",
     ),
 }

@@ -16,7 +16,7 @@ from crkr.experiments.bench.load import Load, running_load
 from crkr.experiments.bench.measurements import Measurement, in_turns, p50, p99, ratio, show
 from crkr.experiments.bench.predict import restart_figures
 from crkr.experiments.bench.processes import running_server
-from crkr.experiments.bench.tasks import measure as task_figures
+from crkr.experiments.bench.scale import measure_tasks
 from crkr.protocol import Internal, ReportRequest, Unavailable, unpack
 
 
@@ -158,6 +158,6 @@ def test_a_log_that_cannot_be_written_is_an_error(tmp_path: Path) -> None:
 
 
 def test_one_task_of_many_is_compared_with_one_alone(tmp_path: Path) -> None:
-    figures = list(task_figures(tmp_path, 20))
+    figures = list(measure_tasks(tmp_path, 20))
     assert [len(one.behind) for one in figures] == [2, 2, 1]
     assert all(number > 0 for one in figures for number in one.behind.values())

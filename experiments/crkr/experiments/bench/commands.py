@@ -60,9 +60,11 @@ def tasks(
     Example: crkr bench tasks --tasks 500
     """
     require("scipy")
-    from crkr.experiments.bench.tasks import measure
+    from crkr.experiments.bench.scale import measure_tasks
 
-    _measure_in_folder(lambda folder: measure(folder, count), f"one task of {count}, d = 6, p = 13, loopback", as_json)
+    _measure_in_folder(
+        lambda folder: measure_tasks(folder, count), f"one task of {count}, d = 6, p = 13, loopback", as_json
+    )
 
 
 def learn(
@@ -82,18 +84,23 @@ def learn(
 def growth(
     part: Annotated[
         list[str] | None,
-        typer.Option("--part", help="insert, learn, guided, polls or ten-million; all but the last unless given."),
+        typer.Option(
+            "--part",
+            help="insert, learn, guided, polls, lag, trials, places or ten-million; the first four unless given.",
+        ),
     ] = None,
     as_json: Json = False,
 ) -> None:
     """Measure learning with a million samples, trials or many workers beside few; takes minutes.
 
+    `places` compares workers on a Ray cluster of this machine with those of plain supervisors.
+
     Example: crkr bench growth --part insert --part guided
     """
-    require("scipy", "numba")
+    require("scipy", "numba", *(["ray"] if "places" in (part or ()) else []))
     from crkr.experiments.bench.growth import PARTS, measure
 
-    chosen = tuple(part or PARTS[:-1])
+    chosen = tuple(part or PARTS[:4])
     if unknown := [one for one in chosen if one not in PARTS]:
         raise typer.BadParameter(f"parts are {', '.join(PARTS)}; got {', '.join(unknown)}", param_hint="--part")
     with tempfile.TemporaryDirectory(prefix="crkr-bench-") as folder:
@@ -118,7 +125,7 @@ def sim(
     if skill == "table-tennis":
         from crkr.experiments.bench.sim import measure
     elif skill == "throw":
-        from crkr.experiments.bench.throw import measure
+        from crkr.experiments.bench.sim import measure_throw as measure
     else:
         raise typer.BadParameter(f"no skill {skill!r} is measured; choose table-tennis or throw", param_hint="--skill")
     title = f"{skill}, {trials} trials after the first 300 of seed {seed}, one BLAS thread"

@@ -1,7 +1,7 @@
-"""What `crkr bench growth` measures: what learning costs with many samples, trials and workers beside with few.
+"""What `crkr bench growth` measures: what learning costs with many samples and trials beside with few.
 
 Both sides of a ratio run in turns and are timed by the thread's own clock, so that other work on the machine matters
-little. Samples and trials are made up; only the last figures are a server's.
+little. Samples and trials are made up; the figures of servers are in `scale`.
 """
 
 from __future__ import annotations
@@ -9,18 +9,15 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack
 from pathlib import Path
 from time import thread_time
-from typing import Any, Final
+from typing import Final
 from uuid import UUID
 
 import numpy as np
 
-from crkr.client import Task
-from crkr.experiments.bench import workload
-from crkr.experiments.bench.measurements import Measurement, in_turns, p50, p99, ratio, timed
-from crkr.experiments.bench.processes import running_server
+from crkr.experiments.bench import scale
+from crkr.experiments.bench.measurements import Measurement, in_turns, p50, p99, ratio
 from crkr.experiments.bench.workload import BUDGET, D, P, bench_spec
 from crkr.learner import Anms, Learner, TrialColumns, accelerate
 from crkr.protocol import KINDS, Array, TaskSpec, Trial
@@ -34,12 +31,9 @@ _FEWEST: Final = 1_000  # trials of the small outcome model
 _ROUNDS: Final = 40
 _INSERTS: Final = 50  # in a round
 _GROUP: Final = 64  # trials that a server learns together
-_CROWD: Final = 100  # supervisors
-_LONGEST_POLL_S: Final = 2.0  # of a supervisor whose total is far away
-_POLLS: Final = 2000
 
 
-def measure(directory: Path, parts: tuple[str, ...], polls: int = _POLLS) -> Iterator[Measurement]:
+def measure(directory: Path, parts: tuple[str, ...], polls: int = scale.POLLS) -> Iterator[Measurement]:
     """The figures of some parts, in turn.
 
     Args:
@@ -53,13 +47,16 @@ def measure(directory: Path, parts: tuple[str, ...], polls: int = _POLLS) -> Ite
         "ten-million": _ten_million,
         "learn": _learned,
         "guided": _guided,
-        "polls": lambda: _polls(directory, polls),
+        "polls": lambda: scale.measure_polls(directory, polls),
+        "lag": lambda: scale.measure_lag(directory, _MANY),
+        "trials": lambda: scale.measure_trials(directory),
+        "places": lambda: scale.measure_places(directory),
     }
     for part in parts:
         yield from made[part]()
 
 
-PARTS: Final = ("insert", "learn", "guided", "polls", "ten-million")
+PARTS: Final = ("insert", "learn", "guided", "polls", "lag", "trials", "places", "ten-million")
 
 
 def resident() -> float:
@@ -196,40 +193,3 @@ def _guided() -> Iterator[Measurement]:
 def _asking(learner: Learner, states: Array, explore: bool) -> Callable[[], object]:
     rows = iter(states)
     return lambda: learner.predict(next(rows), explore)
-
-
-def _polls(directory: Path, polls: int) -> Iterator[Measurement]:
-    """What looks at the count cost a server that knows one supervisor's workers, and one that knows a hundred's."""
-    with ExitStack() as stack:
-        servers: dict[str, tuple[Task, int]] = {}
-        for name, workers in (("one", 1), ("hundred", _CROWD)):
-            running = stack.enter_context(running_server(directory / name))
-            task = running.create_task(bench_spec())
-            workload.fill(task, BUDGET)
-            for number in range(workers):
-                stack.enter_context(task.announce(f"bench-{number}-0"))
-            servers[name] = task, _server_process(directory / name)
-        costs: dict[str, list[float]] = {name: [] for name in servers}
-        for _ in range(5):
-            for name, (task, pid) in servers.items():
-                before = _cpu_seconds(pid)
-                timed(lambda task=task: task.status(brief=True), polls)  # type: ignore[misc]  # its default argument
-                costs[name].append((_cpu_seconds(pid) - before) / polls)
-    found = {name: 1e6 * min(each) for name, each in costs.items()}
-    yield ratio("server's CPU a look at the count: 100 supervisors known / 1", found, "hundred", "one", 1.2)
-    share = _CROWD / _LONGEST_POLL_S * found["hundred"] * 1e-6
-    yield Measurement("  share of a core that 100 supervisors' looks take", share, 0.05)
-
-
-def _server_process(data: Path) -> int:
-    """Process id of the server on a data directory, a child of ours."""
-    children = Path(f"/proc/self/task/{os.getpid()}/children").read_text(encoding="utf-8").split()
-    for pid in map(int, children):
-        if str(data).encode() in Path(f"/proc/{pid}/cmdline").read_bytes():
-            return pid
-    raise RuntimeError(f"no server on {data} was started here")
-
-
-def _cpu_seconds(pid: int) -> float:
-    fields: Any = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")

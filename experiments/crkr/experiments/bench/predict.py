@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import sqlite3
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing
@@ -20,8 +17,8 @@ from crkr.experiments.bench import workload
 from crkr.experiments.bench.bare_zenoh import KEY, BareQuerier, echo_server
 from crkr.experiments.bench.load import Load, running_load
 from crkr.experiments.bench.measurements import Measurement, in_turns, p50, p99, ratio, timed
-from crkr.experiments.bench.processes import running_server
-from crkr.protocol import Array, Unavailable
+from crkr.experiments.bench.processes import running_server, write_log
+from crkr.protocol import Array
 
 __all__ = ["measure", "restart_figures"]
 
@@ -160,11 +157,7 @@ def restart_figures(directory: Path, samples: int) -> Iterator[Measurement]:
     """
     few, many = directory / "few", directory / "many"
     for data, count in ((few, _FEW), (many, samples)):
-        arguments = [sys.executable, "-m", "crkr.server.inspection.synthetic_log", str(data), str(count)]
-        spec = json.dumps(workload.bench_spec().to_dict())
-        done = subprocess.run(arguments, check=False, input=spec, text=True, encoding="utf-8")
-        if done.returncode:
-            raise Unavailable(f"the log of {count} trials was not written: its process ended with {done.returncode}")
+        write_log(data, workload.bench_spec(), count)
         started = time.perf_counter()
         with running_server(data) as client:
             client.task(workload.TASK).predict(workload.states(1)[0])

@@ -17,9 +17,9 @@ from typing import Any, Final, final
 
 from crkr.client import Client
 from crkr.client.cli.error_lines import require
-from crkr.protocol import Unavailable
+from crkr.protocol import TaskSpec, Unavailable
 
-__all__ = ["Child", "command", "free_endpoint", "program", "running_server", "say_ready"]
+__all__ = ["Child", "command", "free_endpoint", "program", "running_server", "say_ready", "write_log"]
 
 _START_S: Final = 600.0  # a server reads a long log before it answers
 _READY_S: Final = 60.0
@@ -201,6 +201,18 @@ def running_server(data: Path | str) -> Iterator[Client]:
             if server.end is not None:
                 raise server.end from error
             raise
+
+
+def write_log(data: Path, spec: TaskSpec, count: int) -> None:
+    """Have the server's own store write a log of `count` made-up trials.
+
+    Raises:
+        Unavailable: It was not written.
+    """
+    arguments = [sys.executable, "-m", "crkr.server.inspection.synthetic_log", str(data), str(count)]
+    done = subprocess.run(arguments, check=False, input=json.dumps(spec.to_dict()), text=True, encoding="utf-8")
+    if done.returncode:
+        raise Unavailable(f"the log of {count} trials was not written: its process ended with {done.returncode}")
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""What `crkr bench sim` measures: the trials of a real run, beside what they cannot do without.
+"""What `crkr bench sim` measures: the trials of a real run, beside what they cannot do without; throws beside strokes.
 
 Both sides of a ratio are timed by the process's own clock, trial by trial in turns. `crkr` has numpy use one BLAS
 thread.
@@ -31,12 +31,15 @@ from crkr.sim_worker.table_tennis.scene import make_arm, make_simulation
 from crkr.sim_worker.table_tennis.table_tennis import TableTennis
 from crkr.sim_worker.throw import Throw
 
-__all__ = ["Run", "agreement", "environment_times", "measure", "timed", "training_run", "verdicts"]
+__all__ = ["Run", "environment_times", "measure", "measure_throw"]
 
 Flags = NDArray[np.bool_]
 
 _WARM: Final = 300  # trials before the measured ones: the active set is then full
 _BATCH: Final = 3000  # trials of the analytic environment at once
+_SHOWN: Final = 20  # planned strokes that the throws are timed beside
+_LANDING: Final = slice(3, 5)  # entries of the outcome that say where the ball landed
+_THROWN: Final = slice(0, 2)  # the same of a throw
 
 
 class Run(NamedTuple):
@@ -57,7 +60,7 @@ class Run(NamedTuple):
 
 def measure(trials: int, seed: int) -> Iterator[Measurement]:
     """All figures, in turn, of `trials` trials of a run with a seed."""
-    run = training_run(TableTennis(SkillOptions(seed=seed), traces=False), trials, seed)
+    run = _training_run(TableTennis(SkillOptions(seed=seed), traces=False), trials, seed)
     ms = environment_times(run.balls, run.goals, _BATCH)
     whole = ms["contact"] + run.learning_ms
     behind = {"trial ms": whole, "of it learning": run.learning_ms, "bare steps ms": ms["bare"]}
@@ -69,6 +72,27 @@ def measure(trials: int, seed: int) -> Iterator[Measurement]:
     yield Measurement(what, ms["analytic"] / ms["batched"], 100.0, True, behind)
     yield _swings(run.all_goals)
     yield from _agreement(run)
+
+
+def measure_throw(trials: int, seed: int) -> Iterator[Measurement]:
+    """All figures, in turn, of `trials` throws of a run with a seed."""
+    throws, strokes = Throw(SkillOptions(seed=seed), traces=False), TableTennis(SkillOptions(), traces=False)
+    exact = Throw(SkillOptions(environment="analytic"), traces=False)
+    run = _training_run(throws, trials, seed)
+    shown = strokes.demonstrations(_SHOWN, np.random.default_rng(seed))
+    ms = dict.fromkeys(("throw", "analytic throw", "stroke"), 0.0)
+    for place, (state, goal) in enumerate(zip(run.balls, run.goals, strict=True)):
+        other = shown[place % len(shown)]
+        calls = {
+            "throw": partial(throws.attempt, state, goal),
+            "analytic throw": partial(exact.attempt, state, goal),
+            "stroke": partial(strokes.attempt, other.state, other.goal),
+        }
+        for name, call in calls.items():
+            ms[name] += 1e3 * _timed(call) / len(run.goals)
+    yield ratio("a contact trial of the throw / of table tennis", ms, "throw", "stroke", 1.0, unit="ms")
+    yield ratio("an analytic throw / a contact one", ms, "analytic throw", "throw", unit="ms")
+    yield _agreed("contact", *_verdicts(throws, run, _THROWN), *_verdicts(exact, run, _THROWN))
 
 
 def environment_times(balls: Array, goals: Array, batch: int) -> dict[str, float]:
@@ -86,12 +110,12 @@ def environment_times(balls: Array, goals: Array, batch: int) -> dict[str, float
         skill.attempt(balls[0], goals[0])  # untimed
     for ball, goal in zip(balls, goals, strict=True):
         for name, skill in skills.items():
-            spent[name] += timed(partial(skill.attempt, ball, goal))
+            spent[name] += _timed(partial(skill.attempt, ball, goal))
         spent["bare"] += bare.timed(ball, goal)
     rows = np.resize(np.arange(len(balls)), batch)
     many = AnalyticBatch(make_arm())
     many.play(balls[rows], goals[rows])  # untimed
-    batched = 1e3 * timed(lambda: many.play(balls[rows], goals[rows])) / batch
+    batched = 1e3 * _timed(lambda: many.play(balls[rows], goals[rows])) / batch
     return {name: 1e3 * total / len(balls) for name, total in spent.items()} | {"batched": batched}
 
 
@@ -115,10 +139,10 @@ class _BareSteps:
         times = np.arange(int(np.ceil((hit_time + FOLLOW) / step)), dtype=np.float64) * step
         controls = tracking.controls(self._arm, self._simulation.gains, swing, times)
         start = self._simulation.start(HOME, ball)
-        return timed(lambda: self._simulation.run(start, controls))
+        return _timed(lambda: self._simulation.run(start, controls))
 
 
-def timed(call: Callable[[], object]) -> float:
+def _timed(call: Callable[[], object]) -> float:
     """Processor time of a call [s]."""
     begin = process_time()
     call()
@@ -139,22 +163,22 @@ def _swings(goals: Array) -> Measurement:
         attempt(primitive, goals[0])  # untimed
     for goal in goals:
         for name, primitive in both.items():
-            ms[name] += 1e3 / len(goals) * timed(partial(attempt, primitive, goal))
+            ms[name] += 1e3 / len(goals) * _timed(partial(attempt, primitive, goal))
     return ratio("a swing / Clarabel alone on the same goals", ms, "swing", "Clarabel", 0.15, unit="ms")
 
 
 def _agreement(run: Run) -> Iterator[Measurement]:
     """How often the other environments judge a trial as the analytic one does, and how far apart they land."""
-    exact, landed = verdicts(TableTennis(SkillOptions(environment="analytic"), traces=False), run, slice(3, 5))
+    exact, landed = _verdicts(TableTennis(SkillOptions(environment="analytic"), traces=False), run, _LANDING)
     for name in ENVIRONMENTS:
         if name != "analytic":
-            found = verdicts(TableTennis(SkillOptions(environment=name), traces=False), run, slice(3, 5))
-            yield agreement(name, *found, exact, landed)
+            found = _verdicts(TableTennis(SkillOptions(environment=name), traces=False), run, _LANDING)
+            yield _agreed(name, *found, exact, landed)
     batched = AnalyticBatch(make_arm()).play(run.balls, run.goals).strict
-    yield agreement("analytic, batched", batched, np.full_like(landed, np.nan), exact, landed)
+    yield _agreed("analytic, batched", batched, np.full_like(landed, np.nan), exact, landed)
 
 
-def verdicts(skill: TableTennis | Throw, run: Run, landing: slice) -> tuple[Flags, Array]:
+def _verdicts(skill: TableTennis | Throw, run: Run, landing: slice) -> tuple[Flags, Array]:
     """Success (n,) of a run's trials in a skill's environment, and where the ball landed (n, 2) [m], NaN: nowhere.
 
     Args:
@@ -167,7 +191,7 @@ def verdicts(skill: TableTennis | Throw, run: Run, landing: slice) -> tuple[Flag
     return np.array([one.success for one in results]), np.array(landings)
 
 
-def agreement(name: str, success: Flags, landings: Array, exact: Flags, landed: Array) -> Measurement:
+def _agreed(name: str, success: Flags, landings: Array, exact: Flags, landed: Array) -> Measurement:
     """How often an environment judges as the analytic one does, and how far apart they land.
 
     Args:
@@ -183,7 +207,7 @@ def agreement(name: str, success: Flags, landings: Array, exact: Flags, landed: 
     return Measurement(f"same strict verdict as analytic: {name}", float((success == exact).mean()), None, True, behind)
 
 
-def training_run(skill: TableTennis | Throw, trials: int, seed: int) -> Run:
+def _training_run(skill: TableTennis | Throw, trials: int, seed: int) -> Run:
     """Trials of a skill after the first 300 of a run."""
     learner = trained_learner(skill, Course(_WARM, 0, 0, 5), seed, lambda _: None)
     rng, balls, goals, executed, spent = training_rng(seed, 2), [], [], [], 0.0

@@ -67,9 +67,9 @@ def explain_payload() -> bytes:
     return pack({"state": states(1)[0]})
 
 
-def report_payload(number: int) -> bytes:
-    """A new trial for each number, without success, so that the server learns nothing from it."""
-    return pack({"trials": [{**_trial_map(number), "success": False, "worker": "bench"}]})
+def report_payload(number: int, success: bool = False) -> bytes:
+    """A new trial for each number; without success the server learns nothing from it."""
+    return pack({"trials": [{**_trial_map(number), "success": success, "worker": "bench"}]})
 
 
 def _trial_map(number: int) -> dict[str, Any]:

@@ -25,7 +25,6 @@ SHORT_FOR_A_REASON = {
     "protocol/crkr/protocol/earlier_python.py": "what goes with Python 3.10",
     "protocol/crkr/protocol/ids.py": "one value, used by every message",
     "server/crkr/server/log/postgres/url.py": "what a URL says, for commands without the extra postgres",
-    "server/crkr/server/metrics/sources.py": "imports no Prometheus, as the collector does",
     "sim_worker/crkr/sim_worker/commands/oracle.py": "a command, found by its entry point, imports nothing heavy",
     "sim_worker/crkr/sim_worker/commands/plot_policy.py": "a command, found by its entry point, imports nothing heavy",
     "sim_worker/crkr/sim_worker/figure.py": "sets what Matplotlib reads as it is imported",

@@ -28,8 +28,8 @@ from crkr.server.learning.restore import FEW, relearned
 from crkr.server.learning.tasks import ServedTask, Tasks
 from crkr.server.learning.thread import Learning
 from crkr.server.log import Event, TaskLog
+from crkr.server.metrics.collector import MetricSources
 from crkr.server.metrics.durations import Durations, Latencies
-from crkr.server.metrics.sources import MetricSources
 from crkr.server.queries.intake import Intake
 from crkr.server.queries.queue import Lane
 from crkr.server.queries.refusals import Refuser

@@ -1,40 +1,58 @@
 """Durations lose none, whoever records, and are counted as numpy counts."""
 
 import threading
+from collections.abc import Sequence
 
 import numpy as np
 
-from crkr.server.metrics.durations import BOUNDS_S, Durations
+from crkr.server.metrics.durations import BOUNDS_S, Durations, Latencies
+
+
+def made() -> Durations:
+    return Durations.named("work_seconds", "Work.")
+
+
+def counts(durations: Durations) -> Sequence[float]:
+    """How many took at most each bound, then how many there were in all."""
+    [metric] = durations.collect()
+    return [sample.value for sample in metric.samples if sample.name == "work_seconds_bucket"]
+
+
+def total(durations: Durations) -> float:
+    [metric] = durations.collect()
+    [found] = [sample.value for sample in metric.samples if sample.name == "work_seconds_sum"]
+    return found
 
 
 def test_the_histogram_counts_every_time_at_or_below_each_bound() -> None:
     rng = np.random.default_rng(0)
     times = np.concatenate([10.0 ** rng.uniform(-5, 1.5, 5000), BOUNDS_S, [0.0, 99.0]])
-    durations = Durations()
+    durations = made()
     for time in times.tolist():
         durations.record(time)
-    found = durations.histogram()
-    assert list(found.counts) == [int((times <= bound).sum()) for bound in BOUNDS_S] + [len(times)]
-    assert np.isclose(found.total_s, times.sum(), rtol=1e-12)
-    assert durations.count == len(times)
+    assert counts(durations) == [int((times <= bound).sum()) for bound in BOUNDS_S] + [len(times)]
+    assert np.isclose(total(durations), times.sum(), rtol=1e-12)
 
 
 def test_only_the_last_times_are_recent_and_all_are_counted() -> None:
-    durations = Durations()
+    latencies, durations = Latencies(), made()
     for number in range(5000):
         durations.record(float(number))
+        latencies.record("predict", 1e-6 * number)
     assert durations.recent().tolist() == list(range(3976, 5000))
-    assert durations.count == 5000
+    assert counts(durations)[-1] == 5000
+    assert latencies.summary()["predict"] == {"p50": 4487.5, "p99": 4988.8, "count": 5000}
 
 
 def test_nothing_recorded_is_nothing_counted() -> None:
-    durations = Durations()
+    durations = made()
     assert len(durations.recent()) == 0
-    assert (set(durations.histogram().counts), durations.histogram().total_s) == ({0}, 0.0)
+    assert (set(counts(durations)), total(durations)) == ({0}, 0.0)
+    assert Latencies().summary() == {}
 
 
 def test_threads_that_record_while_others_ask_lose_nothing() -> None:
-    durations, each, seen = Durations(), 20_000, []
+    durations, each, seen = made(), 20_000, []
 
     def record() -> None:
         for _ in range(each):
@@ -44,14 +62,15 @@ def test_threads_that_record_while_others_ask_lose_nothing() -> None:
     for thread in recording:
         thread.start()
     while any(thread.is_alive() for thread in recording):
-        seen.append(durations.histogram().counts[-1])
+        seen.append(counts(durations)[-1])
+        assert set(durations.recent()) <= {0.5}
     assert seen == sorted(seen)
-    assert durations.histogram().counts[-1] == durations.count == 4 * each
-    assert durations.histogram().total_s == 0.5 * 4 * each
+    assert counts(durations)[-1] == 4 * each
+    assert total(durations) == 0.5 * 4 * each
 
 
 def test_a_block_that_raises_is_not_timed() -> None:
-    durations = Durations()
+    durations = made()
     try:
         with durations.timing():
             raise KeyError
@@ -59,4 +78,4 @@ def test_a_block_that_raises_is_not_timed() -> None:
         pass
     with durations.timing():
         pass
-    assert durations.count == 1
+    assert counts(durations)[-1] == 1

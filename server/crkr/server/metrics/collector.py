@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 from importlib.metadata import version
-from typing import Final, final
+from typing import Any, Final, final
 
 from prometheus_client.core import (
     CounterMetricFamily,
     GaugeMetricFamily,
-    HistogramMetricFamily,
     InfoMetricFamily,
     Metric,
 )
@@ -18,15 +18,14 @@ from prometheus_client.registry import Collector
 
 from crkr.learner.advice import ADVICE_CODES
 from crkr.protocol import KINDS, PROTOCOL_VERSION
-from crkr.server.learning.tasks import ServedTask
-from crkr.server.metrics.durations import BOUNDS_S, Durations
-from crkr.server.metrics.sources import MetricSources
+from crkr.server.learning.tasks import ServedTask, Tasks
+from crkr.server.learning.thread import Learning
+from crkr.server.metrics.durations import Durations, Latencies
 from crkr.server.thread_faults import FAULTS
-from crkr.server.workers import STATES
+from crkr.server.workers import STATES, Workers
 
-__all__ = ["MetricsCollector"]
+__all__ = ["MetricSources", "MetricsCollector"]
 
-_BOUNDS: Final = (*(f"{bound:g}" for bound in BOUNDS_S), "+Inf")
 # One number for each task: metric, what it means, from a task.
 _OF_A_TASK: Final = {
     "crkr_task_eligible_samples": "Trials that may be learned from.",
@@ -43,6 +42,30 @@ _OF_A_TASK: Final = {
 
 
 @final
+@dataclass(frozen=True, slots=True)
+class MetricSources:
+    """Read only; any thread may.
+
+    Attributes:
+        sizes: Gives the bytes of the log, and those free for it; None where unknown.
+        tasks: What is served.
+        latencies: Times and errors of the answers.
+        workers: The workers of each task.
+        learning: The backlog and the steps of learning.
+        commits: How long the log took to store.
+        queues: Verb -> {waiting, limit}.
+    """
+
+    sizes: Callable[[], tuple[int | None, int | None]]
+    tasks: Tasks
+    latencies: Latencies
+    workers: Workers
+    learning: Learning
+    commits: Durations
+    queues: Callable[[], Mapping[str, Any]]
+
+
+@final
 class MetricsCollector(Collector):
     """Reads one server's state at each scrape."""
 
@@ -54,11 +77,10 @@ class MetricsCollector(Collector):
         """All metrics but the process's own."""
         yield InfoMetricFamily("crkr_build", "What runs.", self._about)
         yield from self._threads()
-        yield from self._requests()
+        yield from self._sources.latencies.collect()
         yield from self._queues()
-        yield _histogram("crkr_commit_duration_seconds", "Durable commits to the task log.", self._sources.commits)
-        steps = self._sources.learning.steps
-        yield _histogram("crkr_learning_step_duration_seconds", "Steps of learning, each with a new model.", steps)
+        yield from self._sources.commits.collect()
+        yield from self._sources.learning.steps.collect()
         yield from self._tasks()
         yield from self._workers()
         yield from self._disk()
@@ -73,20 +95,6 @@ class MetricsCollector(Collector):
         yield faults
         ended = len(FAULTS.ended())
         yield GaugeMetricFamily("crkr_threads_ended", "Threads that are no more: restart the server.", ended)
-
-    def _requests(self) -> Iterator[Metric]:
-        latencies = self._sources.latencies
-        total = CounterMetricFamily("crkr_requests", "Requests by outcome.", labels=["verb", "code"])
-        took = HistogramMetricFamily(
-            "crkr_request_duration_seconds", "From taking a request in to its answer, errors aside.", labels=["verb"]
-        )
-        for verb, times in latencies.answers().items():
-            found = times.histogram()
-            total.add_metric([verb, "OK"], found.counts[-1])
-            took.add_metric([verb], list(zip(_BOUNDS, found.counts, strict=True)), found.total_s)
-        for (verb, code), count in latencies.refusals().items():
-            total.add_metric([verb, code], count)
-        yield from (total, took)
 
     def _queues(self) -> Iterator[Metric]:
         waiting = GaugeMetricFamily("crkr_queue_waiting", "Requests that wait.", labels=["verb"])
@@ -142,8 +150,3 @@ def _numbers(task: ServedTask) -> tuple[float, ...]:
     drifted = (0.0, 0) if drift is None else (drift.score, drift.restarts)
     faulty, damaged = bool(task.fault), bool(task.damage)
     return task.eligible, model.active, model.version, lag, task.archived, faulty, success, *drifted, damaged
-
-
-def _histogram(name: str, text: str, times: Durations) -> Metric:
-    found = times.histogram()
-    return HistogramMetricFamily(name, text, list(zip(_BOUNDS, found.counts, strict=True)), found.total_s)

@@ -11,11 +11,10 @@ import threading
 from contextlib import suppress
 from typing import Any, Final, final
 
-from prometheus_client import CollectorRegistry, MetricsHandler, ProcessCollector
+from prometheus_client import CollectorRegistry, MetricsHandler, ProcessCollector, disable_created_metrics
 
 from crkr.protocol import Unavailable
-from crkr.server.metrics.collector import MetricsCollector
-from crkr.server.metrics.sources import MetricSources
+from crkr.server.metrics.collector import MetricsCollector, MetricSources
 from crkr.server.thread_faults import FAULTS, keep_running
 
 __all__ = ["MetricsEndpoint"]
@@ -42,6 +41,7 @@ class MetricsEndpoint:
     """
 
     def __init__(self, host: str, port: int) -> None:
+        disable_created_metrics()  # type: ignore[no-untyped-call]  # else each comes with the time of its first value
         self._registry = CollectorRegistry()
         ProcessCollector(registry=self._registry)
         handler = MetricsHandler.factory(self._registry)

@@ -142,7 +142,8 @@ class TcpLink:
         self.port: int = self._listener.getsockname()[1]
         self._lock = threading.Lock()
         self._pairs: dict[socket.socket, tuple[socket.socket, bool]] = {}
-        self._cut = self._one_way = False
+        self._cut = self._one_way = self._silent = False
+        self._pause_s = 0.0
         self._waker, self._woken = socket.socketpair()
         self._selector = selectors.DefaultSelector()
         for one in (self._listener, self._woken):
@@ -154,6 +155,14 @@ class TcpLink:
         """Pass on what is asked, and keep what is answered."""
         self._one_way = True
 
+    def fall_silent(self) -> None:
+        """Pass nothing on any more, and keep the connections, as a cable that is pulled out."""
+        self._silent = True
+
+    def slow_down(self, pause_s: float) -> None:
+        """Keep each answer for a while [s]."""
+        self._pause_s = pause_s
+
     def cut(self) -> None:
         """End the connections, and take no more."""
         with self._lock:
@@ -162,8 +171,11 @@ class TcpLink:
                 self._drop(next(iter(self._pairs)))
 
     def mend(self) -> None:
-        """Take connections again."""
-        self._cut = self._one_way = False
+        """Take connections again, and pass everything on; those that were silent end."""
+        if self._silent:
+            self.cut()
+        self._cut = self._one_way = self._silent = False
+        self._pause_s = 0.0
 
     def _pass_on(self) -> None:
         while not self._ended:
@@ -190,7 +202,9 @@ class TcpLink:
         other, answers = self._pairs[one]
         try:
             data = one.recv(2**16)
-            if data and not (answers and self._one_way):
+            if data and not (self._silent or (answers and self._one_way)):
+                if answers and self._pause_s:
+                    threading.Event().wait(self._pause_s)
                 other.sendall(data)
         except OSError:
             data = b""

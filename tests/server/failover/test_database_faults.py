@@ -1,19 +1,22 @@
 """The database dies, comes back, is cut off, or refuses a server: predictions go on, and no report is lost."""
 
+import os
 import signal
 import threading
 from collections.abc import Callable
-from contextlib import closing
+from contextlib import closing, suppress
 from typing import Any
 
 import pytest
-from postgres import TcpLink
+from postgres import TcpLink, running_postgres
 
 from crkr.client import Task
-from crkr.protocol import StorageError, Unavailable
+from crkr.protocol import ShuttingDown, StorageError, Unavailable
 from crkr.server.follower import Follower
 from crkr.server.log import LoggedTrial, read_log
 from crkr.server.log.postgres.url import printable_location
+
+from .test_log_owners import SPEC, report
 
 BEAT = "SELECT min(beat) FROM crkr.server"
 
@@ -50,8 +53,9 @@ def test_predictions_go_on_without_the_database_and_reports_wait_for_it(
     assert [member.process.poll() for member in pair.members] == [None, None]
 
 
+@pytest.mark.parametrize("silently", [False, pytest.param(True, marks=pytest.mark.campaign)])
 def test_a_server_that_is_cut_off_from_the_database_leaves_its_clients_to_the_other(
-    postgres: Any, make_pair: Callable[..., Any], start_reporters: Callable[..., Any], processes: Any
+    silently: bool, postgres: Any, make_pair: Callable[..., Any], start_reporters: Callable[..., Any], processes: Any
 ) -> None:
     with TcpLink(postgres.port) as link:
         pair = make_pair(link.port)
@@ -61,7 +65,10 @@ def test_a_server_that_is_cut_off_from_the_database_leaves_its_clients_to_the_ot
         database = pair.url.rpartition("/")[2]
         [(beat,)] = postgres.execute(database, BEAT)
         processes.wait_until(lambda: postgres.execute(database, BEAT)[0][0] > beat + 1)  # it knows who stands by
-        link.cut()
+        if silently:
+            link.fall_silent()
+        else:
+            link.cut()
         processes.wait_until(lambda: second.says("listening on"), second.log)
         processes.wait_until(lambda: first.says("another server answers at"), first.log)
         reached = len(reporters.acknowledged)
@@ -71,6 +78,83 @@ def test_a_server_that_is_cut_off_from_the_database_leaves_its_clients_to_the_ot
         reporters.end()
         assert reporters.failed == []
         assert stored_once(pair.url, reporters.acknowledged)
+
+
+def test_a_database_that_stands_still_counts_as_away_until_it_goes_on(
+    make_database: Callable[[], str], processes: Any
+) -> None:
+    with running_postgres() as cluster:
+        url = cluster.create("still")
+        owner, _ = Follower(url, "tcp/127.0.0.1:1", lambda _: None).take()
+        lost: list[str] = []
+        owner.keep(lost.append)
+        owner.create(SPEC)
+        assert cluster.process is not None
+        everything = [cluster.process.pid, *processes.children(cluster.process.pid)]
+        for pid in everything:
+            os.kill(pid, signal.SIGSTOP)
+        try:
+            with pytest.raises(ShuttingDown, match=r"the database is away .*wait timeout expired"):
+                owner.append_reports(report(1))
+        finally:
+            for pid in reversed(everything):
+                os.kill(pid, signal.SIGCONT)
+        with pytest.raises(ShuttingDown, match="the database is away"):
+            owner.append_reports(report(1))
+
+        def store() -> bool:
+            with suppress(ShuttingDown):
+                recovered = owner.recover()
+                owner.append_reports(report(1))
+                return len(recovered) in (0, 1)
+            return False
+
+        processes.wait_until(store)
+        assert [entry.seq for entry in owner.reads.read("reach")] == [1, 2]
+        assert lost == []
+        owner.close()
+
+
+def test_a_slow_database_slows_reports_and_nothing_else(
+    postgres: Any, make_pair: Callable[..., Any], start_reporters: Callable[..., Any], processes: Any
+) -> None:
+    with TcpLink(postgres.port) as link:
+        pair = make_pair(link.port)
+        first, second = pair.members
+        reporters = start_reporters(pair)
+        processes.wait_until(lambda: reporters.failed or len(reporters.acknowledged) > 30)
+        link.slow_down(0.03)
+        reached, database = len(reporters.acknowledged), pair.url.rpartition("/")[2]
+        [(beat,)] = postgres.execute(database, BEAT)
+        processes.wait_until(lambda: reporters.failed or len(reporters.acknowledged) > reached + 20)
+        processes.wait_until(lambda: postgres.execute(database, BEAT)[0][0] > beat + 3)
+        reporters.end()
+        assert reporters.failed == []
+        assert stored_once(pair.url, reporters.acknowledged)
+        assert not second.says("listening on")
+        assert first.says("listening on")
+
+
+def test_an_older_state_is_refused_by_a_server_that_began_anew_until_it_has_it_all(
+    make_database: Callable[[], str], processes: Any
+) -> None:
+    url, said, taken = make_database(), list[str](), list[Any]()
+    owner, _ = Follower(url, "tcp/127.0.0.1:1", lambda _: None).take()
+    owner.create(SPEC)
+    owner.close()
+    follower = Follower(url, "tcp/127.0.0.1:1", said.append, known=2)
+    taking = threading.Thread(target=lambda: taken.append(follower.take()))
+    taking.start()
+    processes.wait_until(lambda: said)
+    assert "older state: it holds 1 log positions, and held 2 before; fail over to a copy" in said[0]
+    assert taken == []
+    other, _ = Follower(url, "tcp/127.0.0.1:1", lambda _: None).take()  # one that never saw more
+    other.append_reports(report(1))
+    other.close()
+    taking.join(60)
+    [(log, [task])] = taken
+    assert task.seq == 2
+    log.close()
 
 
 def test_a_server_that_the_database_refuses_is_told_why_without_the_password(

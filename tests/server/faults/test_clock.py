@@ -27,6 +27,7 @@ TELLING = {
     "client/crkr/client/commands/doctor.py",  # a certificate's last day is a day
 }
 DAY, DECADE = 86_400, 315_360_000
+BEAT = "SELECT min(beat) FROM crkr.server"
 JUMPS = (DAY, -DAY, DECADE, -DECADE, 0)
 
 
@@ -186,3 +187,41 @@ def test_jumps_of_the_clock_hold_up_neither_server_nor_worker(
         server.terminate()
         assert server.wait(timeout=10) == 0
         server.stderr.close()
+
+
+def test_jumps_of_a_servers_clock_make_no_other_take_its_tasks(
+    make_clock: Callable[[str], Clock],
+    make_database: Callable[[], str],
+    postgres: Any,
+    unused_ports: list[int],
+    reach: dict[str, Any],
+) -> None:
+    url, clock = make_database(), make_clock("server clock")
+    first, second = (f"tcp/127.0.0.1:{port}" for port in unused_ports)
+    other = [sys.executable, "-m", "crkr.client", "server", "--listen", second, "--data", url]
+    with ExitStack() as stack:
+        server = stack.enter_context(clock.child(SERVER, "server", "--listen", first, "--data", url))
+        stack.callback(server.kill)
+        task = stack.enter_context(Client(first, timeout_s=30)).create_task(reach)
+        standby = stack.enter_context(subprocess.Popen(other, stderr=subprocess.PIPE, text=True))
+        stack.callback(standby.kill)
+        assert standby.stderr is not None
+        assert "standing by" in standby.stderr.readline()
+        for number, jump in enumerate(JUMPS):
+            clock.jump(jump)
+            for _ in range(3):
+                task.report(state=[0.1, 0.1], goal=[0.0] * 3, cost=0.5, success=True, wait=True)
+            [(beat,)] = beats = postgres.execute(url.rpartition("/")[2], BEAT)
+            while beats[0][0] < beat + 2:
+                beats = postgres.execute(url.rpartition("/")[2], BEAT)
+            assert postgres.execute(url.rpartition("/")[2], "SELECT epoch, last FROM crkr.task") == [
+                (1, 4 + 3 * number)
+            ]
+        server.terminate()
+        assert server.wait(timeout=10) == 0
+
+
+def test_no_statement_asks_for_the_time_of_the_database() -> None:
+    folder = REPOSITORY / "server/crkr/server/log/postgres"
+    asking = re.compile(r"\bnow\(|_timestamp\b|localtime|interval '", re.IGNORECASE)
+    assert [path.name for path in folder.glob("*.py") if asking.search(path.read_text())] == []

@@ -1,7 +1,8 @@
 """Connections to PostgreSQL, the tables there, and what errors mean.
 
 Connections commit each statement by itself: a transaction that is left open by a server that stalls would hold up the
-one that takes over. A server that is gone, or a link that is cut, is noticed within a few seconds.
+one that takes over. A server that is gone, a link that is cut, and a process of PostgreSQL's that stands still are
+noticed within a few seconds.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any, Final
+from typing import Any, Final, final
 from uuid import uuid4
 
 import psycopg
@@ -19,7 +20,16 @@ from psycopg.conninfo import conninfo_to_dict, make_conninfo
 from crkr.protocol import ShuttingDown, StorageError
 from crkr.server.log.postgres.url import printable_location
 
-__all__ = ["RETRY_MS", "SCHEMA_VERSION", "connect", "database_errors", "is_away", "prepare", "read_errors"]
+__all__ = [
+    "RETRY_MS",
+    "SCHEMA_VERSION",
+    "Connection",
+    "connect",
+    "database_errors",
+    "is_away",
+    "prepare",
+    "read_errors",
+]
 
 logger = logging.getLogger(__name__)
 
@@ -72,23 +82,40 @@ _ADVICE: Final[tuple[tuple[type[psycopg.Error], str], ...]] = (
 )
 
 
-def connect(url: str, *, reading: bool = False) -> psycopg.Connection[Any]:
+@final
+class Connection(psycopg.Connection[Any]):
+    """One whose statements raise `psycopg.OperationalError` where no answer comes in time; it must be closed then.
+
+    Attributes:
+        patience_s: The longest wait for an answer [s]; None: any. TCP alone does not notice a process that stands
+            still, as its machine acknowledges what is sent to it.
+    """
+
+    patience_s: float | None = None
+
+    def wait(self, gen: Any, interval: float = 0.1, timeout: float | None = None) -> Any:
+        """As psycopg's."""
+        return super().wait(gen, interval, self.patience_s if timeout is None else timeout)
+
+
+def connect(url: str, patience_s: float | None = None) -> Connection:
     """A connection with the log's settings, which commits each statement; raises `psycopg.Error`.
 
     Args:
         url: The database.
-        reading: A statement may take as long as it takes; otherwise it waits 5 s for a lock and runs 30 s at most.
+        patience_s: As the connection's. Where there is one, a statement waits 5 s for a lock and runs 30 s at most.
     """
     given: dict[str, Any] = dict(conninfo_to_dict(url))
     defaults = dict(_DEFAULTS)
     if "," in str(given.get("host", "")):  # several: the primary among them
         defaults["target_session_attrs"] = "read-write"
-    connection = psycopg.connect(make_conninfo(**{**defaults, **given}), autocommit=True)
+    connection = Connection.connect(make_conninfo(**{**defaults, **given}), autocommit=True)
+    connection.patience_s = patience_s
     try:
         # A commit is on the disk, and on a synchronous standby where there is one, before it is acknowledged.
         row = connection.execute("SHOW synchronous_commit").fetchone()
         kept = row[0] if row and row[0] in ("remote_apply", "on") else "on"
-        connection.execute(f"{_SETTINGS}{kept}; {_NO_DEADLINE if reading else _DEADLINES}")
+        connection.execute(f"{_SETTINGS}{kept}; {_NO_DEADLINE if patience_s is None else _DEADLINES}")
     except BaseException:
         connection.close()
         raise

@@ -115,7 +115,7 @@ class PostgresDatabase:
     def _connection(self) -> psycopg.Connection[Any]:
         connection: psycopg.Connection[Any] | None = getattr(self._threads, "connection", None)
         if connection is None or connection.closed:
-            connection = self._threads.connection = connect(self._url, reading=True)
+            connection = self._threads.connection = connect(self._url)
             with self._opening:
                 self._open = [one for one in self._open if not one[1].closed]
                 self._open.append((threading.current_thread(), connection))

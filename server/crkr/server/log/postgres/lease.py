@@ -24,7 +24,7 @@ from uuid import UUID, uuid4
 import psycopg
 
 from crkr.protocol import CrkrError, ShuttingDown
-from crkr.server.log.postgres.connection import RETRY_MS, connect, database_errors, prepare
+from crkr.server.log.postgres.connection import RETRY_MS, Connection, connect, database_errors, prepare
 from crkr.server.thread_faults import keep_running
 
 __all__ = ["LEASE_S", "Lease", "Member", "Roster", "TaskRow"]
@@ -34,6 +34,7 @@ logger = logging.getLogger(__name__)
 LEASE_S: Final = 3.0
 _BEAT_S: Final = LEASE_S / 6
 _LOOK_S: Final = 0.1  # between looks at the other servers
+_PATIENCE_S: Final = 2.0  # with the database's answer; an owner that gets none must notice before its lease is over
 _KNOCK_S: Final = 0.3  # for the connection to another server
 _STARTED: Final = "(SELECT backend_start FROM pg_stat_activity WHERE pid = pg_backend_pid())"
 _ENTER: Final = f"""INSERT INTO server (id, address, backend, backend_start)
@@ -143,7 +144,7 @@ class Lease:
         self.roster: Roster | None = None
         self.positions = 0
         self._url, self._port = url, port
-        self._connection: psycopg.Connection[Any] | None = None
+        self._connection: Connection | None = None
         self._using = threading.RLock()
         self._reconnected: float | None = None  # [s, monotonic]
         self._beaten = 0.0
@@ -154,7 +155,9 @@ class Lease:
         try:
             with database_errors("open the task log"):
                 connection = self._connected()
+                connection.patience_s = None
                 prepare(connection, url, create=True)
+                connection.patience_s = _PATIENCE_S
                 [host] = connection.execute(_ADDRESS).fetchone() or ("",)
                 connection.execute(_ENTER, (self.me, f"{host}:{port or 0}"))
                 self._beaten = time.monotonic()
@@ -276,9 +279,9 @@ class Lease:
             if self._connection is not None:
                 self._connection.close()
 
-    def _connected(self) -> psycopg.Connection[Any]:
+    def _connected(self) -> Connection:
         if self._connection is None or self._connection.closed:
-            before, self._connection = self._connection, connect(self._url)
+            before, self._connection = self._connection, connect(self._url, _PATIENCE_S)
             if before is not None:
                 self._reconnected = time.monotonic()
         return self._connection

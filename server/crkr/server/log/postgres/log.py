@@ -8,14 +8,13 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, final
 
-import psycopg
 from psycopg import errors, sql
 
 from crkr.protocol import Conflict, ShuttingDown, StorageError, TaskSpec
 from crkr.server.log.entries import DELETED, Event, LoggedTrial, PendingReport, Stored
 from crkr.server.log.new_rows import NewRows, changed_marks, event_row, new_name
 from crkr.server.log.postgres import statements
-from crkr.server.log.postgres.connection import RETRY_MS, connect, database_errors
+from crkr.server.log.postgres.connection import RETRY_MS, Connection, connect, database_errors
 from crkr.server.log.postgres.database import PostgresDatabase
 from crkr.server.log.postgres.lease import Lease, TaskRow
 from crkr.server.log.reader import LogReader
@@ -25,6 +24,7 @@ __all__ = ["PostgresLog"]
 
 logger = logging.getLogger(__name__)
 
+_PATIENCE_S: Final = 6.0  # with a commit; one that took longer is read back
 _CLOSE_PATIENCE_S: Final = 0.5  # with a commit that is under way
 _WORKER: Final = TRIAL_COLUMNS.split(", ").index("worker") + 1  # behind the task
 
@@ -66,7 +66,7 @@ class PostgresLog:
         except BaseException:
             self.reads.close()
             raise
-        self._writer: psycopg.Connection[Any] | None = None
+        self._writer: Connection | None = None
         self._writing = threading.Lock()
         self._unknown = self._closing = self._closed = False
         self._naming = ""  # a task's name that is being stored
@@ -212,6 +212,7 @@ class PostgresLog:
         gone = [name for name in self._owned if name.startswith(DELETED)]
         keys, positions = [self._owned[name].key for name in gone], sum(self._owned[name].last for name in gone)
         with database_errors("purge the deleted tasks"), self._writing, self._connected().transaction() as block:
+            self._connected().patience_s = None
             cursor = block.connection.cursor().execute(statements.PATIENT)
             if cursor.execute(statements.DISOWN, (keys, self.lease.me)).rowcount < len(keys):
                 raise StorageError("cannot purge the deleted tasks: another server owns the log now")
@@ -226,6 +227,7 @@ class PostgresLog:
         """As `TaskLog.adopt`."""
         at = _WORKER - 1
         with database_errors(f"copy task {task!r}"), self._writing, self._connected().transaction() as block:
+            self._connected().patience_s = None
             cursor = block.connection.cursor().execute(statements.PATIENT)
             [(key,)] = cursor.execute(statements.NEW_TASK, (task, 0, self.lease.me)).fetchall()
             cursor.executemany(statements.ADOPT_EVENTS, [(key, *row) for row in events])
@@ -312,9 +314,9 @@ class PostgresLog:
             self._writer.close()
             self._writer = None
 
-    def _connected(self) -> psycopg.Connection[Any]:
+    def _connected(self) -> Connection:
         if self._writer is None or self._writer.closed:
-            self._writer = connect(self._url)
+            self._writer = connect(self._url, _PATIENCE_S)
         return self._writer
 
 

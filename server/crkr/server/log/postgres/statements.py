@@ -41,9 +41,9 @@ _TYPES: Final = {
     "present_cost": "double precision",
     "removed": "smallint",
 }
-_FENCE: Final = """WITH fence AS (UPDATE task SET last = now.last
-    FROM unnest(%b::bigint[], %b::bigint[], %b::bigint[], %b::bigint[]) AS now(id, epoch, known, last)
-    WHERE task.id = now.id AND task.epoch = now.epoch AND task.last = now.known RETURNING task.id)"""
+_FENCE: Final = """WITH fence AS (UPDATE task SET last = step.last
+    FROM unnest(%b::bigint[], %b::bigint[], %b::bigint[], %b::bigint[]) AS step(id, epoch, known, last)
+    WHERE task.id = step.id AND task.epoch = step.epoch AND task.last = step.known RETURNING task.id)"""
 _FENCE_EVENT: Final = """WITH fence AS (UPDATE task SET last = last + 1, name = coalesce(%b::text, name)
     WHERE id = %b::bigint AND epoch = %b AND last = %b RETURNING id)"""
 _TOLD: Final = "told AS (UPDATE log SET epoch = log.epoch + 1 FROM fence WHERE %b::boolean)"

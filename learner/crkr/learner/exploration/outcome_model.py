@@ -113,17 +113,21 @@ class OutcomeModel:
         p, count = goals.shape[1], min(settings.neighbours, MOST_NEIGHBOURS)
         kernel = _KERNELS[settings.model]
         fits, together = [], []
+        risky, refusals = np.zeros(0, dtype=np.int64), None
         for counted, sets in _sets(trials, groups, count):
             near = _nearest(trials, x, [one[0] for one in sets], *counted)
             for place, one in enumerate(sets):
+                D = _joined([found.D[place] for _, found in near])
+                if one == [trials.everything]:
+                    refused = _joined([part.refused[found.rows[place]] for part, found in near])
+                    risky, refusals = _refusals(D, refused, p, counted[1])
+                    continue
                 entries = np.concatenate([scales.groups[group] for group in one])
                 Y = _joined([part.Y[found.rows[place][:, :, None], entries] for part, found in near])
                 noise = kernel.noise + _SHARE_OF_SIZE * np.vecdot(Y, Y) / len(entries)
-                D = _joined([found.D[place] for _, found in near])
                 fits.append(LocalGP.fit(kernel, D, Y, p, noise, counted[1]))
                 together.append(entries)
         entries = np.concatenate(together)
-        risky, refusals = _refusals(trials, x, p, count)
         return cls(goals, entries, tuple(fits), risky, refusals, scales.one_sided[entries])
 
     def prospect(self, goals: Array) -> Prospect:
@@ -180,19 +184,13 @@ class OutcomeModel:
         return np.where(self.one_sided * o > 0, 0.0, o)
 
 
-def _refusals(trials: ObservedTrials, x: Array, p: int, count: int) -> tuple[Indices, LocalGP | None]:
+def _refusals(D: Array, refused: NDArray[np.bool_], p: int, former: int) -> tuple[Indices, LocalGP | None]:
     """Which points have a refused goal among their neighbours, and the model there."""
-    nowhere = np.zeros(0, dtype=np.int64)
-    if not any(part.any_refused for part in (trials, trials.former) if part is not None):
-        return nowhere, None
-    counted = _counted(trials, trials.everything, count)
-    near = _nearest(trials, x, [trials.everything], *counted)
-    refused = _joined([part.refused[found.rows[0]] for part, found in near])
     risky = np.flatnonzero(refused.any(axis=1))
     if not len(risky):
-        return nowhere, None
-    D, y = _joined([found.D[0][risky] for _, found in near]), np.where(refused[risky], _REFUSED, 0.0)[..., None]
-    return risky, LocalGP.fit(_REFUSAL, D, y, p, former=counted[1])
+        return risky, None
+    y = np.where(refused[risky], _REFUSED, 0.0)[..., None]
+    return risky, LocalGP.fit(_REFUSAL, D[risky], y, p, former=former)
 
 
 def _counted(trials: ObservedTrials, group: int, count: int) -> tuple[int, int]:
@@ -220,11 +218,15 @@ def _joined(parts: list[NDArray[Any]]) -> NDArray[Any]:
 def _sets(
     trials: ObservedTrials, groups: Sequence[int], count: int
 ) -> Iterable[tuple[tuple[int, int], list[list[int]]]]:
-    """Numbers of neighbours, and for each the groups that have so many; those observed in the same trials together."""
+    """Numbers of neighbours, and for each the groups that have so many; those observed in the same trials together.
+
+    The group of all trials comes last where a goal was refused.
+    """
     parts = [trials] if trials.former is None else [trials, trials.former]
     everywhere = [group for group in groups if all(part.hidden[group] is None for part in parts)]
     together = [everywhere] if everywhere else []
     sets: dict[tuple[int, int], list[list[int]]] = {}
-    for one in together + [[group] for group in groups if group not in everywhere]:
+    refused = [[trials.everything]] if any(part.any_refused for part in parts) else []
+    for one in together + [[group] for group in groups if group not in everywhere] + refused:
         sets.setdefault(_counted(trials, one[0], count), []).append(one)
     return sets.items()

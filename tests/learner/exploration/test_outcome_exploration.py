@@ -337,3 +337,13 @@ def test_a_mirror_without_the_trials_answers_plainly_and_says_so(guided: Callabl
     np.testing.assert_array_equal(
         drawn.goals, truncated_normal(drawn.means, drawn.sigmas, *guided().bounds, uniforms(5, IDS, P))
     )
+
+
+def test_without_a_success_a_bad_outcome_goes_before_one_that_was_not_observed(guided: Callable[..., TaskSpec]) -> None:
+    learner = Learner(guided("ab", min_trials=2))
+    for number, (goal, outcome) in enumerate([(0.1, [0.5, 0.2]), (0.2, [0.5, np.nan]), (0.3, [0.5, np.nan])]):
+        state, tried_goal, trial_id = np.zeros(D), np.full(P, goal), UUID(int=number + 1)
+        learner.report(state=state, goal=tried_goal, id=trial_id, cost=0.9, success=False, outcome=outcome)
+    np.testing.assert_allclose(learner.predict(np.zeros(D)).means, 0.1)
+    aimed = learner.predict(np.full(D, 0.3))
+    np.testing.assert_allclose(aimed.means, 0.1)

@@ -41,9 +41,9 @@ _BLOCK: Final = 32  # states at a time: a call of numpy costs as much as one sta
 _STILL: Final = 0.02  # scales; an update that moves the goal by less is the last
 _REFIT: Final = 0.3  # scales from where the model was fitted, beyond which it is fitted anew
 _SAFE: Final = np.log(0.9)  # P(executed) above which a mean that should hit is not looked at further
-_UNSEEN: Final = 9.0  # squared tolerances that an entry is thought to be off where it was not observed
+_UNSEEN: Final = 400.0  # squared tolerances that an entry is thought to be off where it was not observed
 _FAR: Final = 1e4  # and at most
-_STATE_SLOPE: Final = 100.0  # squared tolerances that an outcome changes with one step of the state
+_STATE_SLOPE: Final = 30.0  # squared tolerances that an outcome changes with one step of the state
 _UNKNOWN: Final = Calibration()
 _LOOSE: Final = (
     2.0  # scales that a goal may be moved at least once the robot has changed: successes before say too much

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from crkr.experiments.learning.command import learning
 from crkr.protocol import Invalid
 
-SHORT = ["--environment", "analytic", "--trials", "30", "--balls", "20", "--first-seed", "3"]
+SHORT = ["--environment", "analytic", "--trials", "12", "--balls", "10", "--first-seed", "3"]
 
 
 @pytest.fixture
@@ -32,7 +32,7 @@ def test_the_number_of_processes_changes_nothing(app: Typer, tmp_path: Path) -> 
     assert answers[0] == answers[1]
     assert [run["seed"] for run in answers[0]["runs"]] == [3, 4]
     summary = answers[0]["summary"]["strict"]
-    rates = [run["final"]["successes"]["strict"] / 20 for run in answers[0]["runs"]]
+    rates = [run["final"]["successes"]["strict"] / 10 for run in answers[0]["runs"]]
     assert summary["mean"] == pytest.approx(sum(rates) / 2)
     assert summary["worst"] == min(rates)
     assert json.loads((tmp_path / "learning.json").read_text())["summary"] == answers[0]["summary"]

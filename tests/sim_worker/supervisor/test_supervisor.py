@@ -224,7 +224,7 @@ def test_a_call_to_a_server_that_is_held_has_the_deadline_that_was_asked_for(
     train: Start, task: Task, start_server: Start, processes: Any, tmp_path: Path
 ) -> None:
     server = start_server(data=tmp_path / "held")
-    command = train("--trials", "2000", "--seed", "1", "--timeout", "1.5", endpoint=server.endpoint)
+    command = train("--trials", "1200", "--seed", "1", "--timeout", "1.5", endpoint=server.endpoint)
     with Client(server.endpoint) as client:
         under_way(client.task(task.name), processes, command)
     server.process.send_signal(signal.SIGSTOP)
@@ -235,7 +235,7 @@ def test_a_call_to_a_server_that_is_held_has_the_deadline_that_was_asked_for(
     tried = re.search(r" in ([0-9.]+) s and", warning)
     assert tried is not None, warning
     assert 1.5 <= float(tried[1]) < 5.0
-    assert command.result()["trained"] == 2000
+    assert command.result()["trained"] == 1200
 
 
 def test_a_server_that_was_killed_and_comes_back_finds_its_workers_at_work(

@@ -144,7 +144,7 @@ def test_the_installed_command_tells_its_version_and_its_parts() -> None:
     assert shown.returncode == 0
     for name in ("demo", "server", "workers", "watch", "predict", "report", "status", "doctor", "evaluate", "bench"):
         assert f" {name} " in shown.stdout
-    assert "not installed" not in shown.stdout
+    assert ("not installed" in shown.stdout) == (sys.version_info < (3, 11))  # where only the client runs
 
 
 def test_numpy_starts_with_one_thread_unless_the_user_wants_more() -> None:

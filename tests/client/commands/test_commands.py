@@ -329,7 +329,7 @@ def test_a_wrong_count_of_numbers_is_refused_by_the_coordinates_names(
     ids=lambda environment: next(iter(environment.values())),
 )
 def test_help_is_printed_whatever_the_environment_says(environment: dict[str, str]) -> None:
-    command = [sys.executable, "-m", "crkr.client", "evaluate", "--help"]
+    command = [sys.executable, "-m", "crkr.client", "trials", "--help"]
     done = subprocess.run(command, env={**os.environ, **environment}, capture_output=True, check=False)
     assert (done.returncode, done.stderr) == (0, b"")
-    assert b"--contexts" in done.stdout
+    assert b"--worst" in done.stdout

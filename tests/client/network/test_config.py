@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from shared_server import SERVER_PYTHON
 
 from crkr.client.network.config import DEFAULT_ENDPOINT, Connection
 from crkr.protocol import Invalid
@@ -93,7 +94,7 @@ def test_certificates_are_looked_for_beside_the_file_that_names_them(
 
 @pytest.mark.parametrize("command", [["status"], ["server", "--listen", "tcp/127.0.0.1:0"]], ids=["client", "server"])
 def test_a_variable_that_zenoh_cannot_read_is_named(command: list[str], tmp_path: Path) -> None:
-    words = [sys.executable, "-m", "crkr.client", *command]
+    words = [SERVER_PYTHON if command[0] == "server" else sys.executable, "-m", "crkr.client", *command]
     environment = {**os.environ, "ZENOH_RUNTIME": "garbage"}
     done = subprocess.run(words, env=environment, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=60)
     assert done.returncode == 1

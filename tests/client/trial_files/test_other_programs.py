@@ -223,6 +223,6 @@ def test_a_matrix_that_is_kept_by_columns_is_read_by_rows(npz: Write, layout: La
     path = npz({})
     arrays = dict(np.load(path))
     arrays["outcome"] = np.asfortranarray([[1.0, 2.0], [3.0, 4.0]])
-    np.savez(path, allow_pickle=False, **arrays)
+    np.savez(path, **arrays)
     measured = [row.trial.outcome for row in rows(path, layout)]
     assert [one.tolist() for one in measured if one is not None] == [[1.0, 2.0], [3.0, 4.0]]

@@ -110,7 +110,7 @@ class OutboxFile:
             with closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True, timeout=0.0)) as database:
                 task = database.execute("SELECT task FROM about").fetchone()
         except sqlite3.Error as error:
-            if str(getattr(error, "sqlite_errorname", "")).startswith(_IN_USE):
+            if _is_locked(error):
                 raise in_use(path) from error
             raise StorageError(f"{path} is no outbox, or it cannot be read: {error}") from error
         if task is None:
@@ -271,7 +271,7 @@ class OutboxFile:
         try:
             yield
         except (sqlite3.Error, sqlite3.Warning) as error:
-            if str(getattr(error, "sqlite_errorname", "")).startswith(_IN_USE):
+            if _is_locked(error):
                 raise in_use(self._path) from error
             if getattr(error, "sqlite_errorname", "") in _NO_LOCKS:
                 raise no_locks(self._path, error) from error
@@ -280,3 +280,8 @@ class OutboxFile:
             raise
         except (TypeError, ValueError, LookupError) as error:
             raise StorageError(f"the outbox {self._path} holds data that was never written ({error})") from error
+
+
+def _is_locked(error: Exception) -> bool:
+    """Whether another has the database; Python 3.10 tells it by words only."""
+    return str(getattr(error, "sqlite_errorname", "")).startswith(_IN_USE) or str(error) == "database is locked"

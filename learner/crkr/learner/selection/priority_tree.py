@@ -428,7 +428,8 @@ def _sort(tree, leaf, d):
     filled = names[SLOTS]
     keys = np.empty(filled)
     for slot in range(filled):
-        keys[slot] = -pages[slot // BLOCK, d + 1, slot % BLOCK]
+        cost, r2 = pages[slot // BLOCK, d : d + 2, slot % BLOCK]
+        keys[slot] = -r2 if r2 > 0 else cost
     for slot, old in enumerate(np.argsort(keys)):
         page, place, part, source = leaf * _PARTS + slot // BLOCK, slot % BLOCK, old // BLOCK, old % BLOCK
         for row in range(d + 2):

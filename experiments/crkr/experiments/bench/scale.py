@@ -157,6 +157,7 @@ def measure_places(directory: Path, turns: int = 3) -> Iterator[Measurement]:
     """Trials a second of two places on a Ray cluster of this machine, and of two plain supervisors, in turns."""
     import ray
 
+    os.environ.setdefault("RAY_AUTH_MODE", "disabled")  # else Ray writes a token into the home directory
     os.environ.setdefault("RAY_worker_niceness", "0")  # else Ray's give way to the supervisors and to all other work
     ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False, object_store_memory=10**8)
     os.environ["RAY_ADDRESS"] = ray.get_runtime_context().gcs_address

@@ -1,5 +1,6 @@
 """Every ablation learns, and differs from the learner by what its name says."""
 
+import pickle
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +24,7 @@ def skill() -> TableTennis:
 
 @pytest.mark.parametrize("name", ABLATIONS)
 def test_every_ablation_learns(name: str, skill: TableTennis) -> None:
+    assert pickle.dumps(ABLATIONS[name])  # as it goes to another process
     rows, _ = train(skill, Contest((12,), 2, 3, 5), ABLATIONS[name](skill.spec(), 1), name, 1)
     assert [(row.trials, row.contexts) for row in rows] == [(12, 2)]
 

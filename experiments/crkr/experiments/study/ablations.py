@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any, Final, final
 
 import numpy as np
@@ -118,30 +119,24 @@ def _distance(spec: TaskSpec, result: TrialResult, rng: np.random.Generator) -> 
     return replace(result, outcome=np.array([np.sqrt(seen @ seen) if len(seen) else np.nan]))
 
 
-def _disturbed(noise: float, bias: float) -> Told:
+def _disturbed(
+    spec: TaskSpec, result: TrialResult, rng: np.random.Generator, *, noise: float, bias: float
+) -> TrialResult:
     """Every outcome with normal noise and a bias, in tolerances."""
-
-    def told(spec: TaskSpec, result: TrialResult, rng: np.random.Generator) -> TrialResult:
-        if result.outcome is None:
-            return result
-        tolerances = np.array([entry.tolerance for entry in spec.outcome])
-        error = bias + noise * rng.standard_normal(len(tolerances))
-        return replace(result, outcome=result.outcome + tolerances * error)
-
-    return told
+    if result.outcome is None:
+        return result
+    tolerances = np.array([entry.tolerance for entry in spec.outcome])
+    error = bias + noise * rng.standard_normal(len(tolerances))
+    return replace(result, outcome=result.outcome + tolerances * error)
 
 
-def _only(group: str) -> Told:
+def _observed(spec: TaskSpec, result: TrialResult, rng: np.random.Generator, *, group: str) -> TrialResult:
     """The entries of one group; others count as not observed."""
-
-    def told(spec: TaskSpec, result: TrialResult, rng: np.random.Generator) -> TrialResult:
-        del rng  # Unused.
-        if result.outcome is None:
-            return result
-        there = np.array([entry.group == group for entry in spec.outcome])
-        return replace(result, outcome=np.where(there, result.outcome, np.nan))
-
-    return told
+    del rng  # Unused.
+    if result.outcome is None:
+        return result
+    there = np.array([entry.group == group for entry in spec.outcome])
+    return replace(result, outcome=np.where(there, result.outcome, np.nan))
 
 
 def _executed(spec: TaskSpec, result: TrialResult, rng: np.random.Generator) -> TrialResult | None:
@@ -164,11 +159,11 @@ ABLATIONS: Final[Mapping[str, Ablation]] = {
     WHOLE: Ablation(),
     "no outcome": _guided(type="gaussian"),
     "one distance": Ablation(told=_distance, outcome=({"name": "distance", "unit": "tolerances", "tolerance": 1.0},)),
-    "only where it hits": Ablation(told=_only("hit")),
-    "only where it lands": Ablation(told=_only("landing")),
-    "noise of one tolerance": Ablation(told=_disturbed(1.0, 0.0)),
-    "bias of half a tolerance": Ablation(told=_disturbed(0.0, 0.5)),
-    "noise and bias": Ablation(told=_disturbed(1.0, 0.5)),
+    "only where it hits": Ablation(told=partial(_observed, group="hit")),
+    "only where it lands": Ablation(told=partial(_observed, group="landing")),
+    "noise of one tolerance": Ablation(told=partial(_disturbed, noise=1.0, bias=0.0)),
+    "bias of half a tolerance": Ablation(told=partial(_disturbed, noise=0.0, bias=0.5)),
+    "noise and bias": Ablation(told=partial(_disturbed, noise=1.0, bias=0.5)),
     "straight line": _guided(model="line"),
     "quadratic": _guided(model="quadratic"),
     "nothing of refusals": Ablation(told=_executed),

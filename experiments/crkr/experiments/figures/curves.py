@@ -104,11 +104,14 @@ def draw_summaries(table: Sequence[Mapping[str, Any]], title: str, path: Path) -
     figure = new_figure(7.0, 4.2)
     axes = figure.add_subplot()
     ticks = sorted({mark for row in table for mark in row["marks"]})
-    for row, colour in zip(table, cycle(COLOURS), strict=False):
+    styles = [(colour, mark) for mark in ("o-", "s--", "^:") for colour in COLOURS]
+    for row, (colour, style) in zip(table, cycle(styles), strict=False):
         trials, found = list(row["marks"]), list(row["marks"].values())
         mean = np.array([one.mean for one in found])
         reach = np.array([[one.mean - one.low for one in found], [one.high - one.mean for one in found]])
-        axes.errorbar(trials, mean, np.maximum(reach, 0), color=colour, marker="o", capsize=3, label=row["way"])
+        axes.errorbar(
+            trials, mean, np.maximum(reach, 0), fmt=style, color=colour, capsize=3, markersize=4, label=row["way"]
+        )
     axes.set(title=title, xlabel="training trials, logarithmic", ylabel="success rate", ylim=(0.0, 1.01))
     axes.set_xscale("log")
     axes.set_xticks(ticks, [str(tick) for tick in ticks])

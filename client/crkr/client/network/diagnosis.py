@@ -181,14 +181,15 @@ def impostors(session: zenoh.Session, task: str) -> set[str]:
 
     Empty behind another router, where the server cannot be told from other clients.
     """
-    trust, found, known = Trust(), set(), False
+    trust, others, known = Trust(), dict[str, zenoh.Reply](), False
     for key in (rpc_key("info"), task_key(task, "predict"), task_key(task, "report")):
         for reply in _ask(session, key):
             if trust.is_server(session, reply):
                 known = True
             elif reply.replier_id is not None:
-                found.add(str(reply.replier_id.zid))
-    return found if known else set()
+                others[str(reply.replier_id.zid)] = reply
+    trust.sharing_server(session, others)
+    return {zid for zid, reply in others.items() if not trust.is_server(session, reply)} if known else set()
 
 
 def _ask(session: zenoh.Session, key: str) -> zenoh.handlers.Handler[zenoh.Reply]:

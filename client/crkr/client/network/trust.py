@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import logging
 import time
+from collections.abc import Mapping
 from contextlib import suppress
 from typing import Final, final
 
@@ -22,6 +23,7 @@ __all__ = ["EVERYONE", "NotTheServer", "Trust"]
 _logger = logging.getLogger(__name__)
 _ASK_S: Final = 0.5
 _ASK_AGAIN_S: Final = 0.25
+_MOST_OTHERS: Final = 16  # sessions whose replies are kept until the question ends
 EVERYONE: Final = zenoh.QueryTarget.ALL  # or a queryable declared complete would be asked instead of the server
 _TIMEOUT: Final = b"Timeout"  # Zenoh's own error, when the time of a question is over
 
@@ -52,20 +54,27 @@ class Trust:
             zenoh.ZError: The question ended without an answer.
             NotTheServer: It ended with answers of other clients only.
         """
-        stranger: zenoh.Reply | None = None
+        others: dict[str, zenoh.Reply] = {}  # by session
         while True:
             try:
                 reply = replies.recv()
             except zenoh.ZError:
-                if stranger is None:
+                if not others:
                     raise
+                found = self.sharing_server(session, others)
+                if found is not None:
+                    return found
+                stranger = next(iter(others.values()))
                 if not self._is_router:
                     return self._adopt(stranger)
                 raise NotTheServer(f"the answer was of another client, not of the server: {_name(stranger)}") from None
-            if self.is_server(session, reply) or _is_timeout(reply):
+            if self.is_server(session, reply):
                 return reply
+            if _is_timeout(reply):
+                return self.sharing_server(session, others) or reply
             self._note(reply)
-            stranger = stranger or reply
+            if len(others) < _MOST_OTHERS:
+                others.setdefault(_name(reply), reply)
 
     def is_server(self, session: zenoh.Session, reply: zenoh.Reply) -> bool:
         """Whether a reply is known to be the server's."""
@@ -77,13 +86,16 @@ class Trust:
         if replier.zid in session.info.routers_zid():  # the first answer, or the first after a restart
             self._server, self._is_router = replier.zid, True
             return True
-        return str(replier.zid) in self._sharing or self._shares(session, str(replier.zid))
+        return str(replier.zid) in self._sharing
 
-    def _shares(self, session: zenoh.Session, stranger: str) -> bool:
-        """Whether the router says that this session's server shares its tasks; it is asked now and then."""
+    def sharing_server(self, session: zenoh.Session, others: Mapping[str, zenoh.Reply]) -> zenoh.Reply | None:
+        """The reply of a server that shares this one's tasks; the router is asked which do, now and then.
+
+        It is asked once the question has ended: Zenoh receives nothing more while a channel of replies is full.
+        """
         now = time.monotonic()
-        if now < self._ask_at:
-            return False
+        if not self._is_router or not others or now < self._ask_at:
+            return None
         self._ask_at = now + _ASK_AGAIN_S
         routers = set(session.info.routers_zid())
         replies = session.get(
@@ -101,7 +113,7 @@ class Trust:
                     told = unpack(reply.ok.payload.to_bytes()).get("servers", ())
                     self._sharing = frozenset(one for one in told if isinstance(one, str))
                 break
-        return stranger in self._sharing
+        return next((reply for reply in others.values() if self.is_server(session, reply)), None)
 
     def _adopt(self, reply: zenoh.Reply) -> zenoh.Reply:
         """Takes another session, behind a router, for the server."""

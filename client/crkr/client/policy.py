@@ -28,7 +28,6 @@ class Policy(Protocol):
             NoSamples: Nothing was learned yet.
             NovelState: The task refuses states this far from its samples.
         """
-        ...
 
     def report(self, answer: Prediction | None = None, **trial: Unpack[TrialFields]) -> Receipt:
         """Stores what one trial or a batch cost, all or nothing; the same id again is stored once.
@@ -41,7 +40,6 @@ class Policy(Protocol):
             Invalid: A value of the wrong shape or out of range.
             Conflict: An id is known with other content.
         """
-        ...
 
 
 class AsyncPolicy(Protocol):
@@ -51,8 +49,6 @@ class AsyncPolicy(Protocol):
         self, states: object, explore: bool = False, *, trial_ids: Sequence[UUID] | None = None
     ) -> Prediction:
         """As `Policy.predict`."""
-        ...
 
     async def report(self, answer: Prediction | None = None, **trial: Unpack[TrialFields]) -> Receipt:
         """As `Policy.report`."""
-        ...

@@ -22,7 +22,6 @@ class Transport(Protocol):
     @property
     def endpoint(self) -> str:
         """Where the server is, for error messages."""
-        ...
 
     def query(
         self, key: str, kind: str, payload: bytes, deadline: float, *, patient: bool = False, optional: bool = False
@@ -43,15 +42,12 @@ class Transport(Protocol):
             Unsupported: Nobody serves an optional key.
             CrkrError: The server's typed error.
         """
-        ...
 
     def publish(self, key: str, kind: str, payload: bytes) -> None:
         """Publishes a message, which may be lost; never waits."""
-        ...
 
     def subscribe(self, task: str, topics: Sequence[str], capacity: int, deadline: float) -> Subscription:
         """Receives a task's publications from now on; raises `Unavailable` where there is no connection."""
-        ...
 
     def announce(self, task: str, worker_id: str, deadline: float) -> Presence:
         """Shows a worker as alive until the returned object is closed.
@@ -61,7 +57,6 @@ class Transport(Protocol):
             Conflict: A living worker has that id.
             Unavailable: No connection by the deadline.
         """
-        ...
 
     def take_role(self, task: str, role: str, deadline: float) -> Role | None:
         """Takes a role that one process at a time has in a task; None where another process has it.
@@ -70,8 +65,6 @@ class Transport(Protocol):
             Invalid: A name that cannot stand in a key.
             Unavailable: No connection by the deadline.
         """
-        ...
 
     def close(self) -> None:
         """Ends the connection; calls in progress raise `Unavailable`."""
-        ...

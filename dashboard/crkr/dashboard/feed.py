@@ -33,31 +33,24 @@ class View(Protocol):
 
     def task(self, description: str) -> None:
         """The task's description, "" without one; called first."""
-        ...
 
     def trials(self, rows: Sequence[Row], progress: Progress) -> None:
         """New trials of the log, in order."""
-        ...
 
     def picture(self, row: Row, telemetry: Telemetry) -> None:
         """What a worker published about one of these trials."""
-        ...
 
     def epoch(self, result: EpochResult, progress: Progress) -> None:
         """An evaluation is complete."""
-        ...
 
     def status(self, status: Mapping[str, Any], progress: Progress, now: float) -> None:
         """The server's answer to `status`; `now` is monotonic [s]."""
-        ...
 
     def say(self, message: str, *, warning: bool = False) -> None:
         """One line for the user."""
-        ...
 
     def tick(self, now: float, progress: Progress) -> None:
         """Time passed; `now` is monotonic [s]."""
-        ...
 
 
 @final

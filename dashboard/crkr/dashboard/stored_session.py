@@ -35,20 +35,16 @@ class StoredRun(Protocol):
     @property
     def spec(self) -> TaskSpec:
         """The specification in force."""
-        ...
 
     @property
     def last(self) -> int:
         """Log position of the last entry."""
-        ...
 
     def pages(self, size: int) -> Iterator[tuple[list[StoredTrial], Mapping[str, Any]]]:
         """All trials in the order of seq; each page with the `status` after it, without what the log does not hold."""
-        ...
 
     def close(self) -> None:
         """Close the directory."""
-        ...
 
 
 def open_run(data: str, task: str) -> StoredRun:

@@ -136,18 +136,15 @@ class Skill(Protocol):
 
     def spec(self) -> TaskSpec:
         """The task specification that this skill learns under."""
-        ...
 
     def reset(self, rng: np.random.Generator) -> Floats:
         """Draws a new situation and returns its state (d,); the next `execute` starts from it."""
-        ...
 
     def execute(self, goal: Floats) -> TrialResult:
         """Tries a goal (p,) in the situation of the last `reset`; a bad goal gives its reason, no exception.
 
         An exception, or a result that no trial can hold, counts as a failed trial; ten in a row end the worker.
         """
-        ...
 
 
 @runtime_checkable
@@ -156,7 +153,6 @@ class HasDemonstrations(Protocol):
 
     def demonstrations(self, count: int, rng: np.random.Generator, /) -> Sequence[Demonstration]:
         """Demonstrates `count` successful goals for situations drawn from `rng`."""
-        ...
 
 
 @runtime_checkable
@@ -165,7 +161,6 @@ class HasScene(Protocol):
 
     def scene(self) -> Sequence[Geom]:
         """The shapes that never change; each trial's trace has their poses."""
-        ...
 
 
 @runtime_checkable
@@ -174,7 +169,6 @@ class HasPlanner(Protocol):
 
     def best_plan(self, state: Floats, /) -> Mapping[str, bool]:
         """Whether one of its plans for a state (d,) succeeds, by each criterion."""
-        ...
 
 
 @runtime_checkable
@@ -183,7 +177,6 @@ class HasPlan(Protocol):
 
     def plan(self, state: Floats, /) -> tuple[Floats, TrialResult] | None:
         """A goal (p,) that succeeds in a state (d,), and its result; None where it finds none."""
-        ...
 
 
 @runtime_checkable
@@ -192,7 +185,6 @@ class HasStates(Protocol):
 
     def restore(self, state: Floats, /) -> None:
         """Puts the situation of a state (d,); the next `execute` starts from it."""
-        ...
 
 
 @runtime_checkable
@@ -201,7 +193,6 @@ class HasFilm(Protocol):
 
     def film(self, goal: Floats, interval: float, /) -> Film | None:
         """The motion of `execute` in steps of at most `interval` [s]; None where the goal is refused."""
-        ...
 
 
 @runtime_checkable
@@ -210,7 +201,6 @@ class HasPolicyFigure(Protocol):
 
     def draw_policy(self, figure: Any, states: Floats, goals: Floats, index: int, /) -> None:
         """Draws goals (n, p) of states (n, d), which differ in coordinate `index`, into an empty Matplotlib figure."""
-        ...
 
 
 @runtime_checkable
@@ -219,7 +209,6 @@ class HasContexts(Protocol):
 
     def evaluation_context(self, number: int, rng: np.random.Generator, /) -> Floats:
         """Puts situation `number` of an evaluation and returns its state (d,); without it, `reset` draws one."""
-        ...
 
 
 @runtime_checkable
@@ -229,7 +218,6 @@ class HasOptions(Protocol):
     @property
     def options(self) -> SkillOptions:
         """The options in force: environment and launcher are named where the skill has any."""
-        ...
 
 
 def read_specification(path: Path | str) -> TaskSpec:
@@ -252,7 +240,6 @@ class SkillFactory(Protocol):
 
     def __call__(self, options: SkillOptions) -> Skill:
         """Makes the skill; raises `Invalid` for an option it does not know."""
-        ...
 
 
 if not TYPE_CHECKING:

@@ -24,22 +24,18 @@ class ModelSource(Protocol):
     @property
     def name(self) -> str:
         """The task's name."""
-        ...
 
     @property
     def report(self) -> Callable[..., Receipt]:
         """`Task.report`."""
-        ...
 
     def model(self, known_version: int | None = None, *, timeout_s: float | None = None) -> dict[str, Any]:
         """As `Task.model`."""
-        ...
 
     def subscribe(
         self, topics: Sequence[str] = TOPICS, capacity: int = 4096, *, timeout_s: float | None = None
     ) -> Subscription:
         """As `Task.subscribe`."""
-        ...
 
 
 @final

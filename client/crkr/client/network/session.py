@@ -35,7 +35,6 @@ class Closable(Protocol):
 
     def close(self) -> None:
         """Closes it; a second call does nothing."""
-        ...
 
 
 @final

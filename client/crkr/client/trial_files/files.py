@@ -24,11 +24,9 @@ class Sink(Protocol):
 
     def write(self, columns: Mapping[str, Sequence[Any]]) -> None:
         """Adds rows, given as values by column."""
-        ...
 
     def close(self) -> None:
         """Writes the rest."""
-        ...
 
 
 @final

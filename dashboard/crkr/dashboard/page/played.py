@@ -33,27 +33,22 @@ class PlayedTrial(Protocol):
     @property
     def seq(self) -> int | None:
         """Log position of the trial that was played again; None for a fresh one."""
-        ...
 
     @property
     def cost(self) -> float | None:
         """In [0, 1], or None."""
-        ...
 
     @property
     def success(self) -> bool:
         """Whether it did what was wanted."""
-        ...
 
     @property
     def reason(self) -> str:
         """How it ended."""
-        ...
 
     @property
     def trace(self) -> Trace | None:
         """How things moved."""
-        ...
 
 
 @final

@@ -1,5 +1,1 @@
 """The paper's figures."""
-
-from __future__ import annotations
-
-__all__: list[str] = []

@@ -24,15 +24,12 @@ class Optimiser(Protocol):
 
     def ask(self) -> Floats:
         """What to try next."""
-        ...
 
     def tell(self, cost: float) -> None:
         """The cost of what was asked for last."""
-        ...
 
     def best(self) -> Floats:
         """What it recommends."""
-        ...
 
 
 @final

@@ -30,11 +30,9 @@ class Surface(Protocol):
 
     def add(self, x: Floats, y: Floats) -> None:
         """Takes one trial: x (n,), y (q,), NaN where not observed."""
-        ...
 
     def fit(self) -> SurfaceFit:
         """The functions that fit the trials so far."""
-        ...
 
 
 @final

@@ -23,19 +23,15 @@ class Rival(Protocol):
 
     def start(self, demonstrations: Sequence[Demonstration]) -> None:
         """Takes the demonstrations, before the first trial."""
-        ...
 
     def ask(self, state: Floats) -> Floats:
         """The goal (p,) to try in a state (d,), with exploration."""
-        ...
 
     def tell(self, state: Floats, goal: Floats, result: TrialResult) -> None:
         """Takes the result of the goal that was asked for last."""
-        ...
 
     def policy(self, states: Floats) -> Floats:
         """The best goals (b, p) for states (b, d), without exploration; changes nothing."""
-        ...
 
 
 @final

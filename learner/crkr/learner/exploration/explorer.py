@@ -43,20 +43,16 @@ class Explorer(Protocol):
     @property
     def guides(self) -> bool:
         """Whether it knows where to explore although nothing has succeeded yet."""
-        ...
 
     def best_tried(self, states: Array) -> Array:
         """Goals (p,) or (b, p) to start from in these states while nothing has succeeded; asked only if it guides."""
-        ...
 
     def prepare(self, trials: int = 0) -> bool:
         """Process at most this many trials that answers wait for; True once all are done. For one thread at a time."""
-        ...
 
     @property
     def searched(self) -> int:
         """How many stored trials each state is compared with: what an answer costs beyond its regression grows so."""
-        ...
 
     def best(self, states: Array, means: Array, sigmas: Array) -> Choice:
         """Goals to execute where nothing is to be tried out.
@@ -66,11 +62,9 @@ class Explorer(Protocol):
             means: (p,) or (b, p), not clipped [units of the goal].
             sigmas: Their standard deviations.
         """
-        ...
 
     def draw(self, states: Array, means: Array, sigmas: Array, ids: Sequence[UUID]) -> Choice:
         """Goals to try, a pure function of the trial ids besides."""
-        ...
 
 
 @final

@@ -1,5 +1,1 @@
 """Rules that choose the active samples: Adaptive Non-Maximal Suppression and what it is compared with."""
-
-from __future__ import annotations
-
-__all__: list[str] = []

@@ -33,34 +33,27 @@ class SuppressionRadii(Protocol):
     @property
     def r2(self) -> Array:
         """(n,) squared radii; -1: removed."""
-        ...
 
     @property
     def suppressors(self) -> Indices:
         """(n,) numbers of the suppressors; -1: none."""
-        ...
 
     def __len__(self) -> int: ...
 
     def samples(self) -> tuple[Array, Array]:
         """States (n, d) and costs (n,); a cost of NaN marks a removed sample."""
-        ...
 
     def extend(self, Z: Array, costs: Array) -> Indices | None:
         """Add samples."""
-        ...
 
     def remove(self, gone: Indices) -> Indices | None:
         """Forget samples, each named once; those they suppressed find other suppressors."""
-        ...
 
     def recost(self, changed: Indices, costs: Array) -> Indices | None:
         """Change costs of samples, each named once."""
-        ...
 
     def rebuild(self, Z: Array, costs: Array, radii: Radii | None = None) -> None:
         """Take these samples; without their radii, in about n log n. A cost of NaN marks a removed one."""
-        ...
 
 
 @final

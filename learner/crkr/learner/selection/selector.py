@@ -51,35 +51,27 @@ class Selector(Protocol):
     @property
     def active(self) -> Indices:
         """Numbers of the active samples, ascending, read-only; the same object while nothing changes."""
-        ...
 
     def extend(self, Z: Array, costs: Array) -> None:
         """Adds samples (n, d) with costs (n,)."""
-        ...
 
     def remove(self, indices: Indices | int) -> None:
         """Forgets samples, which must be there; their numbers are not used again."""
-        ...
 
     def recost(self, indices: Indices | int, costs: Array | float) -> None:
         """Changes the costs of samples, each named once; their age stays."""
-        ...
 
     def rebuild(self, Z: Array, costs: Array, radii: Radii | None = None) -> None:
         """Forgets everything and takes these samples, numbered anew; `radii` are theirs if known."""
-        ...
 
     def set_budget(self, budget: int) -> None:
         """Changes how many samples may be active."""
-        ...
 
     def standing(self, index: int) -> Standing:
         """Where one sample stands."""
-        ...
 
     def radii(self) -> Radii | None:
         """What makes the next `rebuild` quick, where there is such a thing."""
-        ...
 
 
 SelectorFactory = Callable[[int, int], Selector]

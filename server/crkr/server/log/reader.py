@@ -49,37 +49,29 @@ class Database(Protocol):
     @property
     def where(self) -> str:
         """The place, for messages."""
-        ...
 
     @property
     def is_log(self) -> bool:
         """Whether there are tables in it."""
-        ...
 
     @property
     def acknowledged(self) -> int:
         """How many log positions, of all tasks, were certainly acknowledged; 0 if unknown."""
-        ...
 
     def rows(self, statement: str, *values: object) -> list[tuple[Any, ...]]:
         """The rows that a statement gives; ? stands for a value."""
-        ...
 
     def errors(self, doing: str) -> AbstractContextManager[None]:
         """Turn what the database raises, and columns of a wrong type, into `StorageError`."""
-        ...
 
     def snapshot(self) -> AbstractContextManager[None]:
         """Within the block, this thread reads the log as of the first read."""
-        ...
 
     def integrity(self) -> list[str]:
         """Errors that the database finds in its own layout; reads everything."""
-        ...
 
     def close(self) -> None:
         """Close the connections of this thread and of those that ended; idempotent."""
-        ...
 
 
 @final

@@ -23,56 +23,44 @@ class TaskLog(Protocol):
     @property
     def reads(self) -> LogReader:
         """The reading side."""
-        ...
 
     @property
     def where(self) -> str:
         """The place, for messages."""
-        ...
 
     @property
     def log_id(self) -> UUID | None:
         """Identifies a log that several servers share."""
-        ...
 
     def recover(self) -> list[tuple[str, list[LoggedTrial | Event]]]:
         """Tasks and entries that are stored although the method that wrote them raised `ShuttingDown`.
 
         Called before each write. Raises as the writing methods do while the store is away.
         """
-        ...
 
     def create(self, spec: TaskSpec) -> Event:
         """Store a new task; its create event has seq 1."""
-        ...
 
     def append_reports(self, reports: Sequence[PendingReport]) -> Sequence[Stored | Conflict | ShuttingDown]:
         """Store several reports in one transaction; a report in conflict leaves the others alone.
 
         `ShuttingDown` stands for a report of a task that another server owns now.
         """
-        ...
 
     def append_event(self, task: str, kind: str, body: Mapping[str, Any]) -> Event:
         """Store an event and update the trials it names; a `rename` or `delete` gives the task the name in its body."""
-        ...
 
     def purge(self) -> list[str]:
         """Remove deleted tasks for good; returns the names that they had in the log."""
-        ...
 
     def adopt(self, task: str, events: Iterable[tuple[Any, ...]], trials: Iterable[tuple[Any, ...]]) -> int:
         """Store another log's rows of a task, as `LogReader.raw` gives them; returns how many there were."""
-        ...
 
     def save_cache(self, task: str, version: int, data: bytes) -> None:
         """Cache bytes that belong to a log position, replacing earlier ones."""
-        ...
 
     def sizes(self) -> tuple[int | None, int | None]:
         """Bytes of the log, and those free for it; None where unknown."""
-        ...
 
     def close(self) -> None:
         """End all work; idempotent. Raises `StorageError` if work outlasts the patience; it then ends by itself."""
-        ...

@@ -1,5 +1,1 @@
 """Durations, counts and the Prometheus endpoint."""
-
-from __future__ import annotations
-
-__all__: list[str] = []

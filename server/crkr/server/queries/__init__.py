@@ -1,5 +1,1 @@
 """Zenoh queries: received, queued, answered exactly once or refused."""
-
-from __future__ import annotations
-
-__all__: list[str] = []

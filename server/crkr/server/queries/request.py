@@ -69,24 +69,19 @@ class Job(Protocol):
     @property
     def verb(self) -> str:
         """The verb, which decides the queue."""
-        ...
 
     @property
     def task(self) -> str:
         """The task's name."""
-        ...
 
     def reply(self, message: Mapping[str, Any]) -> None:
         """Answer."""
-        ...
 
     def fail(self, error: CrkrError) -> None:
         """Answer with an error."""
-        ...
 
     def fail_unexpectedly(self, error: BaseException) -> None:
         """Answer with what was raised."""
-        ...
 
 
 @final

@@ -1,5 +1,1 @@
 """What each verb of the protocol does."""
-
-from __future__ import annotations
-
-__all__: list[str] = []

@@ -25,7 +25,6 @@ class Launcher(Protocol):
 
     def draw(self, rng: np.random.Generator) -> Floats:
         """One situation (d,)."""
-        ...
 
 
 class RefusedGoal(Exception):

@@ -1,5 +1,1 @@
 """The subcommands of `crkr` that this part provides; each module is imported only when its command runs."""
-
-from __future__ import annotations
-
-__all__: list[str] = []

@@ -1,5 +1,1 @@
 """All of crkr on one machine: server, workers and dashboard as real processes, followed through the log."""
-
-from __future__ import annotations
-
-__all__: list[str] = []

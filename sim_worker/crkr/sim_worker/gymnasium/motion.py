@@ -29,11 +29,9 @@ class Motion(Protocol):
     @property
     def axes(self) -> list[dict[str, Any]]:
         """The specification's `goal`."""
-        ...
 
     def begin(self, goal: Floats) -> Actions:
         """Plans from the environment's present state; raises `Infeasible` for a goal that cannot be tried."""
-        ...
 
 
 def motion_for(environment: Environment, via_points: int | None, goal_bounds: Bounds | None = None) -> Motion:

@@ -55,11 +55,9 @@ class Predictor(Protocol):
     @property
     def timestep(self) -> float:
         """Between two rows of `path` [s]."""
-        ...
 
     def path(self, ball: Floats, duration: float) -> Floats:
         """Position [m], velocity [m/s] and spin [rad/s] (n + 1, 9), table frame, every timestep from `ball` (6,) on."""
-        ...
 
 
 @final

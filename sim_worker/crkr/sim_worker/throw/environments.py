@@ -65,7 +65,6 @@ class Environment(Protocol):
 
     def throw(self, layout: Layout, swing: JointTrajectory, release: float) -> Flight:
         """Executes `swing` and lets go at `release` [s]; raises `Diverged` if that fails."""
-        ...
 
 
 @final

@@ -1,5 +1,1 @@
 """How a swing is executed: contact, hybrid and analytic."""
-
-from __future__ import annotations
-
-__all__: list[str] = []

@@ -56,4 +56,3 @@ class Environment(Protocol):
 
     def play(self, ball: Floats, swing: JointTrajectory, hit_time: float) -> Play:
         """Executes `swing` against the ball that was `ball` (6,) at time 0; raises `Diverged` if that fails."""
-        ...

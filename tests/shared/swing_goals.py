@@ -3,11 +3,9 @@
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from crkr.protocol import Array
 from crkr.sim_worker.primitives.stroke import JointLimits
-
-Floats = NDArray[np.float64]
 
 HOME = np.array([0.0, -1.5, 1.8, -0.3, 1.5, 0.0])
 WAY = np.array([0.2, -0.1, 0.3, 0.1, -0.2, 0.15])
@@ -15,7 +13,7 @@ SPEED = np.array([0.5, -0.4, 0.8, -0.6, 0.7, 0.9])
 ARM = JointLimits(np.full(6, -3.0), np.full(6, 3.0), np.full(6, 2.5), np.full(6, 25.0))
 
 
-def wave(amplitude: float, joints: int = 6) -> Floats:
+def wave(amplitude: float, joints: int = 6) -> Array:
     """A profile (45, n) unlike any other."""
     return amplitude * np.sin(np.linspace(0.0, 6.0, 45)[:, None] + np.arange(joints))
 
@@ -23,9 +21,9 @@ def wave(amplitude: float, joints: int = 6) -> Floats:
 class SwingGoal(NamedTuple):
     """Arguments of `Primitive.trajectory`."""
 
-    start: Floats
-    position: Floats
-    velocity: Floats
+    start: Array
+    position: Array
+    velocity: Array
     hit_time: float
 
 

@@ -15,11 +15,10 @@ from uuid import UUID
 import numpy as np
 
 from crkr.client.tally import success_by_criterion
-from crkr.protocol import CrkrError, Geom, TaskSpec, Trace, Trial
+from crkr.protocol import Array, CrkrError, Geom, TaskSpec, Trace, Trial
 from crkr.protocol.checks import finite_array
 from crkr.sim_worker.skill import (
     Demonstration,
-    Floats,
     HasContexts,
     HasDemonstrations,
     HasPlanner,
@@ -96,7 +95,7 @@ class GuardedSkill:
         self._skill, self._within = skill, within
         self._name = type(skill).__name__
         self._spec: TaskSpec | None = None
-        self._state: Floats | None = None
+        self._state: Array | None = None
         self._faults = 0
         self._criteria: tuple[str, ...] = ()
 
@@ -129,16 +128,16 @@ class GuardedSkill:
         self._spec = spec
         return spec
 
-    def reset(self, rng: np.random.Generator) -> Floats:
+    def reset(self, rng: np.random.Generator) -> Array:
         """A new situation's state (d,)."""
         return self._put("reset", lambda: self._skill.reset(rng))
 
-    def evaluation_context(self, number: int, rng: np.random.Generator) -> Floats:
+    def evaluation_context(self, number: int, rng: np.random.Generator) -> Array:
         """The state (d,) of situation `number` of an evaluation, the skill's own or drawn by `reset`."""
         method = "evaluation_context" if isinstance(self._skill, HasContexts) else "reset"
         return self._put(method, lambda: judged_state(self._skill, number, rng))
 
-    def restore(self, state: Floats) -> None:
+    def restore(self, state: Array) -> None:
         """Puts a state (d,); raises `SkillFault` where the skill cannot."""
         if not isinstance(self._skill, HasStates):
             raise SkillFault(f"{self._name} cannot put a stored state (a method `restore`)")
@@ -146,7 +145,7 @@ class GuardedSkill:
             self._skill.restore(state)
         self._state = state
 
-    def execute(self, goal: Floats) -> TrialResult:
+    def execute(self, goal: Array) -> TrialResult:
         """The result of a goal (p,); a fault of the skill gives a failed trial."""
         reasons: list[BaseException] = []
         try:
@@ -188,7 +187,7 @@ class GuardedSkill:
             return []
         return shapes
 
-    def _put(self, method: str, call: Callable[[], Floats]) -> Floats:
+    def _put(self, method: str, call: Callable[[], Array]) -> Array:
         size = len(self._checked_spec.state)
         with skill_code(self._fault(method)), self._within(method):
             self._state = finite_array(call(), "the state", (size,))
@@ -204,7 +203,7 @@ class GuardedSkill:
 
         return fault
 
-    def _checked(self, result: TrialResult, goal: Floats) -> TrialResult:
+    def _checked(self, result: TrialResult, goal: Array) -> TrialResult:
         """The result with plain numbers; raises if no trial can hold it."""
         if not isinstance(result, TrialResult):
             raise TypeError(f"execute must return a TrialResult; got {type(result).__name__}")
@@ -246,7 +245,7 @@ class GuardedSkill:
         finite_array(one.goal, f"the goal of demonstration {number}", (len(self._checked_spec.goal),))
 
 
-def guarded_plan(planner: HasPlanner, state: Floats) -> dict[str, bool]:
+def guarded_plan(planner: HasPlanner, state: Array) -> dict[str, bool]:
     """Success of a skill's best plan for a state (d,), by criterion; raises `SkillFault` for any exception of it."""
 
     def fault(error: BaseException) -> NoReturn:

@@ -17,10 +17,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from crkr.client.commands.spec_files import read_spec
-from crkr.protocol import Geom, Invalid, TaskSpec, Trace, check_name
+from crkr.protocol import Array, Geom, Invalid, TaskSpec, Trace, check_name
 from crkr.sim_worker.chain import Chain
 
 __all__ = [
@@ -50,7 +49,8 @@ __all__ = [
     "read_specification",
 ]
 
-Floats = NDArray[np.float64]
+Floats = Array
+"""The name of `Array` in skills of users."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +97,7 @@ class TrialResult:
     cost: float | None
     success: bool
     executed: bool
-    outcome: Floats | None = None
+    outcome: Array | None = None
     info: Mapping[str, Any] = field(default_factory=dict)
     trace: Trace | None = None
     learn: bool | None = None
@@ -113,8 +113,8 @@ class Demonstration:
         result: Of executing the goal; it was executed and succeeded.
     """
 
-    state: Floats
-    goal: Floats
+    state: Array
+    goal: Array
     result: TrialResult
 
 
@@ -137,10 +137,10 @@ class Skill(Protocol):
     def spec(self) -> TaskSpec:
         """The task specification that this skill learns under."""
 
-    def reset(self, rng: np.random.Generator) -> Floats:
+    def reset(self, rng: np.random.Generator) -> Array:
         """Draws a new situation and returns its state (d,); the next `execute` starts from it."""
 
-    def execute(self, goal: Floats) -> TrialResult:
+    def execute(self, goal: Array) -> TrialResult:
         """Tries a goal (p,) in the situation of the last `reset`; a bad goal gives its reason, no exception.
 
         An exception, or a result that no trial can hold, counts as a failed trial; ten in a row end the worker.
@@ -167,7 +167,7 @@ class HasScene(Protocol):
 class HasPlanner(Protocol):
     """A skill that can plan from a model of the task, as a reference for what it learned."""
 
-    def best_plan(self, state: Floats, /) -> Mapping[str, bool]:
+    def best_plan(self, state: Array, /) -> Mapping[str, bool]:
         """Whether one of its plans for a state (d,) succeeds, by each criterion."""
 
 
@@ -175,7 +175,7 @@ class HasPlanner(Protocol):
 class HasPlan(Protocol):
     """A skill that can tell such a plan."""
 
-    def plan(self, state: Floats, /) -> tuple[Floats, TrialResult] | None:
+    def plan(self, state: Array, /) -> tuple[Array, TrialResult] | None:
         """A goal (p,) that succeeds in a state (d,), and its result; None where it finds none."""
 
 
@@ -183,7 +183,7 @@ class HasPlan(Protocol):
 class HasStates(Protocol):
     """A skill that can be put into any state, as into that of a stored trial."""
 
-    def restore(self, state: Floats, /) -> None:
+    def restore(self, state: Array, /) -> None:
         """Puts the situation of a state (d,); the next `execute` starts from it."""
 
 
@@ -191,7 +191,7 @@ class HasStates(Protocol):
 class HasFilm(Protocol):
     """A skill whose motion can be told more finely than traces have it."""
 
-    def film(self, goal: Floats, interval: float, /) -> Film | None:
+    def film(self, goal: Array, interval: float, /) -> Film | None:
         """The motion of `execute` in steps of at most `interval` [s]; None where the goal is refused."""
 
 
@@ -199,7 +199,7 @@ class HasFilm(Protocol):
 class HasPolicyFigure(Protocol):
     """A skill that draws what goals mean in its space, for `crkr plot policy`."""
 
-    def draw_policy(self, figure: Any, states: Floats, goals: Floats, index: int, /) -> None:
+    def draw_policy(self, figure: Any, states: Array, goals: Array, index: int, /) -> None:
         """Draws goals (n, p) of states (n, d), which differ in coordinate `index`, into an empty Matplotlib figure."""
 
 
@@ -207,7 +207,7 @@ class HasPolicyFigure(Protocol):
 class HasContexts(Protocol):
     """A skill that chooses the situations that it is judged in, as a benchmark's fixed ones."""
 
-    def evaluation_context(self, number: int, rng: np.random.Generator, /) -> Floats:
+    def evaluation_context(self, number: int, rng: np.random.Generator, /) -> Array:
         """Puts situation `number` of an evaluation and returns its state (d,); without it, `reset` draws one."""
 
 
@@ -230,7 +230,7 @@ def options_in_force(skill: Skill, asked: SkillOptions) -> SkillOptions:
     return skill.options if isinstance(skill, HasOptions) else asked
 
 
-def judged_state(skill: Skill, number: int, rng: np.random.Generator) -> Floats:
+def judged_state(skill: Skill, number: int, rng: np.random.Generator) -> Array:
     """Puts situation `number` of an evaluation, the skill's own or drawn from `rng`, and returns its state (d,)."""
     return skill.evaluation_context(number, rng) if isinstance(skill, HasContexts) else skill.reset(rng)
 

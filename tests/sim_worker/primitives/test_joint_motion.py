@@ -2,13 +2,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from swing_goals import ARM, HOME, SPEED, WAY, wave
 
 from crkr.protocol.errors import Invalid
 from crkr.sim_worker.primitives.stroke import JointTrajectory, Primitive
-
-Floats = NDArray[np.float64]
 
 
 def test_samples_are_each_others_derivatives_and_agree_with_the_knots() -> None:

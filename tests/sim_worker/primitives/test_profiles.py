@@ -2,14 +2,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from swing_goals import ARM, HOME, SPEED, WAY, wave
 
 from crkr.protocol.errors import Invalid
 from crkr.sim_worker.primitives.profiles import demonstrated_profile, wind_up
 from crkr.sim_worker.primitives.stroke import Primitive
-
-Floats = NDArray[np.float64]
 
 
 def test_a_demonstration_gives_back_its_own_motion_at_its_own_goal() -> None:

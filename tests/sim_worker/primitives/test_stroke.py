@@ -4,14 +4,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from scipy.optimize import linprog, nnls
 from swing_goals import HOME, SPEED, WAY, draw_goals, wave
 
+from crkr.protocol import Array
 from crkr.protocol.errors import Invalid
 from crkr.sim_worker.primitives.stroke import Infeasible, JointLimits, JointTrajectory, Primitive
-
-Floats = NDArray[np.float64]
 
 N, HIT = 45, 25
 RANGE = np.array([2 * np.pi, 2 * np.pi, np.pi, 2 * np.pi, 2 * np.pi, 2 * np.pi])
@@ -33,7 +31,7 @@ def one_joint(*, room: float = 10.0, speed: float = 2.0, acceleration: float = 2
 
 
 def attempt(
-    primitive: Primitive, start: Floats, position: Floats, velocity: Floats, hit_time: float
+    primitive: Primitive, start: Array, position: Array, velocity: Array, hit_time: float
 ) -> JointTrajectory | Infeasible:
     try:
         return primitive.trajectory(start, position, velocity, hit_time)
@@ -41,7 +39,7 @@ def attempt(
         return refusal
 
 
-def integrate(acceleration: Floats, step: float) -> tuple[Floats, Floats]:
+def integrate(acceleration: Array, step: float) -> tuple[Array, Array]:
     """Way and velocity after each interval, one interval after another."""
     way, velocity = [0.0], [0.0]
     for value in acceleration:
@@ -50,13 +48,13 @@ def integrate(acceleration: Floats, step: float) -> tuple[Floats, Floats]:
     return np.array(way), np.array(velocity)
 
 
-def maps(intervals: int, step: float) -> tuple[Floats, Floats]:
+def maps(intervals: int, step: float) -> tuple[Array, Array]:
     """Matrices from accelerations to way and velocity at knots 1..N, column by column through `integrate`."""
     columns = [integrate(unit, step) for unit in np.eye(intervals)]
     return np.array([way[1:] for way, _ in columns]).T, np.array([v[1:] for _, v in columns]).T
 
 
-def cost_matrix(intervals: int, smoothness: float = 20.0) -> Floats:
+def cost_matrix(intervals: int, smoothness: float = 20.0) -> Array:
     difference = np.diff(np.eye(intervals), axis=0)
     return np.eye(intervals) + smoothness * difference.T @ difference
 

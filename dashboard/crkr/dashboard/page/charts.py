@@ -11,15 +11,12 @@ from dataclasses import dataclass
 from typing import Final, final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from crkr.dashboard.page.figures import Curve
 from crkr.dashboard.page.markup import Element, label, number, tag
-from crkr.protocol import OutcomeEntry
+from crkr.protocol import Array, OutcomeEntry
 
 __all__ = ["SMALL", "Axes", "Points", "Series", "histogram", "line_chart", "nice_ticks", "percent", "stacked_chart"]
-
-Floats = NDArray[np.float64]
 
 COLOURS: Final = 8  # classes c0 to c7 of the style sheet
 LEFT, RIGHT, TOP, BOTTOM = 54.0, 12.0, 10.0, 34.0
@@ -73,7 +70,7 @@ class Axes:
         share = min(max((value - low) / ((high - low) or 1.0), 0.0), 1.0)
         return self.height - BOTTOM - share * (self.height - BOTTOM - TOP)
 
-    def path(self, x: Floats, y: Floats) -> str:
+    def path(self, x: Array, y: Array) -> str:
         """A line through points as SVG writes it."""
         return "M" + "L".join(f"{self.right(a):.1f} {self.down(b):.1f}" for a, b in zip(x, y, strict=True))
 
@@ -101,7 +98,7 @@ class Axes:
             drawn.append(tag("text", number(value), x=place, y=down, text_anchor=anchor))
         return drawn
 
-    def columns(self, x: Floats, tips: Sequence[str]) -> list[Element]:
+    def columns(self, x: Array, tips: Sequence[str]) -> list[Element]:
         """Invisible columns around abscissas, each with its text."""
         edges = np.concatenate([[x[0] - (x[1] - x[0]) / 2], (x[1:] + x[:-1]) / 2, x[-1:]]) if len(x) > 1 else self.x
         high = self.height - BOTTOM - TOP
@@ -166,7 +163,7 @@ def line_chart(
     return axes.drawing(title, *drawn, klass=klass)
 
 
-def _tips(series: Sequence[Series], said: Callable[[float], str]) -> tuple[Floats, list[str]]:
+def _tips(series: Sequence[Series], said: Callable[[float], str]) -> tuple[Array, list[str]]:
     """Abscissas of the longest curve, at most `TIPS`, and what is told there."""
     longest = max((each.curve for each in series), key=lambda curve: len(curve.trials))
     shown = longest.trials[:: -(-len(longest.trials) // TIPS)]
@@ -183,7 +180,7 @@ def _tips(series: Sequence[Series], said: Callable[[float], str]) -> tuple[Float
 
 
 def stacked_chart(
-    title: str, trials: Floats, shares: Sequence[tuple[str, Floats, str]], size: tuple[float, float] = (430.0, 190.0)
+    title: str, trials: Array, shares: Sequence[tuple[str, Array, str]], size: tuple[float, float] = (430.0, 190.0)
 ) -> Element:
     """Shares that add up to 1 over the run: (name, (n,) shares, class of the colour) from the bottom up."""
     axes = Axes(*size, (0.0, float(trials[-1])), (0.0, 1.0))
@@ -206,7 +203,7 @@ def stacked_chart(
     )
 
 
-def histogram(axis: OutcomeEntry, values: Floats, size: tuple[float, float] = SMALL) -> Element:
+def histogram(axis: OutcomeEntry, values: Array, size: tuple[float, float] = SMALL) -> Element:
     """How measured numbers (n,) spread around their target, with the range that counts as good."""
     low, high = _range(axis, values)
     counts, edges = np.histogram(np.clip(values, low, high), bins=31, range=(low, high))
@@ -232,7 +229,7 @@ def histogram(axis: OutcomeEntry, values: Floats, size: tuple[float, float] = SM
     return axes.drawing(f"outcome {axis.name}", *drawn, klass="small")
 
 
-def _range(axis: OutcomeEntry, values: Floats) -> tuple[float, float]:
+def _range(axis: OutcomeEntry, values: Array) -> tuple[float, float]:
     """The range that a histogram shows: nearly all values, and the target with its tolerance."""
     if axis.aim == "equal":
         spread = float(np.quantile(np.abs(values - axis.target), 0.98))

@@ -15,11 +15,9 @@ from numpy.typing import NDArray
 
 from crkr.client.tally import wilson_interval
 from crkr.dashboard.progress import MAX_NAMES, WINDOW, Progress, Row
-from crkr.protocol import TaskSpec
+from crkr.protocol import Array, TaskSpec
 
 __all__ = ["COSTS", "KEPT", "SPANS", "Curve", "Figures", "Newest", "Spans"]
-
-Floats = NDArray[np.float64]
 
 SPANS: Final = 240  # spans of trials before they are joined in pairs
 FIRST_WIDTH: Final = 5  # trials of a span
@@ -40,11 +38,11 @@ class Curve:
         count: (n,) trials in each window.
     """
 
-    trials: Floats
-    value: Floats
-    low: Floats
-    high: Floats
-    count: Floats
+    trials: Array
+    value: Array
+    low: Array
+    high: Array
+    count: Array
 
 
 @final
@@ -71,7 +69,7 @@ class Spans:
             self.width *= 2
         np.add.at(self._counts, ((trials - 1) // self.width, columns), 1)
 
-    def windows(self, least: int = WINDOW) -> tuple[Floats, Floats]:
+    def windows(self, least: int = WINDOW) -> tuple[Array, Array]:
         """(n,) ends of windows, and (n, columns) the counts in each.
 
         Each window has at least `least` trials and a fortieth of the run; the windows overlap.
@@ -84,7 +82,7 @@ class Spans:
         ends = np.minimum(np.arange(size, used + 1) * self.width, self._last)
         return ends.astype(float), sums[size:] - sums[:-size]
 
-    def total(self) -> Floats:
+    def total(self) -> Array:
         """(columns,) counts over the whole run."""
         return np.asarray(self._counts.sum(axis=0))
 
@@ -115,12 +113,12 @@ class Newest:
         return min(self._added, KEPT)
 
     @property
-    def states(self) -> Floats:
+    def states(self) -> Array:
         """(n, d)."""
         return self._states[: len(self)]
 
     @property
-    def outcomes(self) -> Floats:
+    def outcomes(self) -> Array:
         """(n, q), NaN where nothing was observed."""
         return self._outcomes[: len(self)]
 
@@ -195,7 +193,7 @@ class Figures:
         low, middle, high = (_quantile(cells, share) for share in (0.1, 0.5, 0.9))
         return Curve(ends, middle, low, high, cells.sum(axis=1))
 
-    def reasons(self) -> tuple[Floats, dict[str, Floats]]:
+    def reasons(self) -> tuple[Array, dict[str, Array]]:
         """(n,) ends of windows over the run, and by reason the (n,) shares of trials that ended so; frequent first."""
         ends, counts = self._spans.windows()
         totals = self._spans.total()[_REASON:]
@@ -215,7 +213,7 @@ def _cell(cost: float) -> int:
     return min(int(cost * COSTS), COSTS - 1)
 
 
-def _quantile(cells: Floats, share: float) -> Floats:
+def _quantile(cells: Array, share: float) -> Array:
     """(n,) quantiles of costs that were counted in cells (n, COSTS), evenly spread within each."""
     sums = np.cumsum(cells, axis=1)
     wanted = share * sums[:, -1]

@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 from crkr.client.tally import wilson_interval
 from crkr.dashboard.page.charts import BOTTOM, LEFT, RIGHT, SMALL, TOP, Axes, nice_ticks, percent
 from crkr.dashboard.page.markup import Element, label, number, tag
-from crkr.protocol import StateDimension
+from crkr.protocol import Array, StateDimension
 
 __all__ = ["Region", "ordered", "pairs", "slice_chart", "state_map", "worst_region"]
 
-Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 CELLS: Final = 9  # of a map, each way
@@ -58,32 +57,32 @@ class Region:
         )
 
 
-def ordered(axes: tuple[StateDimension, ...], states: Floats, success: Flags) -> list[int]:
+def ordered(axes: tuple[StateDimension, ...], states: Array, success: Flags) -> list[int]:
     """Coordinates that vary, those first along which success varies most beyond chance."""
     varied = [place for place, axis in enumerate(axes) if np.ptp(states[:, place]) > 1e-6 * (axis.high - axis.low)]
     return sorted(varied, key=lambda place: -_variation(axes[place], states[:, place], success))
 
 
-def _variation(axis: StateDimension, values: Floats, success: Flags) -> float:
+def _variation(axis: StateDimension, values: Array, success: Flags) -> float:
     counts, met = _sliced(axis, values, success)
     rate = success.mean() if len(success) else 0.0
     spread = max(rate * (1 - rate), 1e-9)
     return float(((met - counts * rate) ** 2 / np.maximum(counts * spread, 1e-9))[counts > 0].sum())
 
 
-def _places(axis: StateDimension, values: Floats, cells: int) -> NDArray[np.int64]:
+def _places(axis: StateDimension, values: Array, cells: int) -> NDArray[np.int64]:
     """Cell of each value within the axis's box; values outside count in the outermost cells."""
     share = (values - axis.low) / (axis.high - axis.low)
     return np.asarray(np.clip((share * cells).astype(int), 0, cells - 1))
 
 
-def _sliced(axis: StateDimension, values: Floats, success: Flags) -> tuple[Floats, Floats]:
+def _sliced(axis: StateDimension, values: Array, success: Flags) -> tuple[Array, Array]:
     places = _places(axis, values, SLICES)
     counts = np.bincount(places, minlength=SLICES).astype(float)
     return counts, np.bincount(places, weights=success, minlength=SLICES).astype(float)
 
 
-def worst_region(axes: tuple[StateDimension, ...], states: Floats, success: Flags) -> Region | None:
+def worst_region(axes: tuple[StateDimension, ...], states: Array, success: Flags) -> Region | None:
     """The end of one coordinate's range where trials succeed least, if that is no chance."""
     found: list[tuple[float, Region]] = []
     for place, axis in enumerate(axes):
@@ -104,7 +103,7 @@ def worst_region(axes: tuple[StateDimension, ...], states: Floats, success: Flag
     return region if score > CLEAR else None
 
 
-def slice_chart(axis: StateDimension, values: Floats, success: Flags) -> Element:
+def slice_chart(axis: StateDimension, values: Array, success: Flags) -> Element:
     """Share of successful trials along one coordinate, with 95 % intervals."""
     frame = Axes(*SMALL, (axis.low, axis.high), (0.0, 1.0), left=46.0)
     counts, met = _sliced(axis, values, success)
@@ -128,7 +127,7 @@ def pairs(order: list[int]) -> list[tuple[int, int]]:
     return sorted(combinations(order[:MAPPED], 2), key=lambda pair: order.index(pair[0]) + order.index(pair[1]))
 
 
-def state_map(axes: tuple[StateDimension, StateDimension], states: Floats, success: Flags) -> Element:
+def state_map(axes: tuple[StateDimension, StateDimension], states: Array, success: Flags) -> Element:
     """Share of successful trials over two coordinates; states (n, 2). A small square stands for few trials."""
     width, height = 420.0, 360.0
     across, up = axes

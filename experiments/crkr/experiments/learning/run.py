@@ -13,9 +13,9 @@ import numpy as np
 
 from crkr.client.tally import Tally, success_by_criterion
 from crkr.learner import Learner, SelectorFactory
-from crkr.protocol import Invalid, NoSamples, TaskSpec, training_id
+from crkr.protocol import Array, Invalid, NoSamples, TaskSpec, training_id
 from crkr.sim_worker.randomness import demonstration_rng, evaluation_rng, fresh_rng, training_rng
-from crkr.sim_worker.skill import Demonstration, Floats, HasDemonstrations, Skill, judged_state
+from crkr.sim_worker.skill import Demonstration, HasDemonstrations, Skill, judged_state
 
 __all__ = ["MARKS", "Course", "LearningRun", "Score", "demonstrated", "judge", "learn_once", "trained_learner"]
 
@@ -185,13 +185,13 @@ def _execute_trial(
     return str(result.info.get("reason", "success" if success else "failure"))
 
 
-def _policy(learner: Learner) -> Callable[[Floats], Floats]:
+def _policy(learner: Learner) -> Callable[[Array], Array]:
     return lambda states: learner.predict(states).goals
 
 
 def judge(
     skill: Skill,
-    policy: Callable[[Floats], Floats],
+    policy: Callable[[Array], Array],
     trials: int,
     contexts: int,
     rng: Callable[[int], np.random.Generator],

@@ -14,8 +14,8 @@ from stable_baselines3.common.noise import NormalActionNoise
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
 from crkr.experiments.rivals.rival import Offsets, cost_of
-from crkr.protocol import TaskSpec
-from crkr.sim_worker.skill import Demonstration, Floats, TrialResult
+from crkr.protocol import Array, TaskSpec
+from crkr.sim_worker.skill import Demonstration, TrialResult
 
 __all__ = ["OneStepEpisodes", "soft_actor_critic", "twin_delayed"]
 
@@ -58,32 +58,32 @@ class OneStepEpisodes:
         for shown in demonstrations:
             self._keep(shown.state, shown.goal, shown.result)
 
-    def ask(self, state: Floats) -> Floats:
+    def ask(self, state: Array) -> Array:
         """A draw of SAC's policy, or TD3's action with noise."""
         noise = 0.0 if self._noise is None else self._noise()
-        goal: Floats = self._goals(state[None, :], self._actions(state[None, :], deterministic=False) + noise)[0]
+        goal: Array = self._goals(state[None, :], self._actions(state[None, :], deterministic=False) + noise)[0]
         return goal
 
-    def tell(self, state: Floats, goal: Floats, result: TrialResult) -> None:
+    def tell(self, state: Array, goal: Array, result: TrialResult) -> None:
         """Keeps the episode, and takes steps of gradients."""
         self._keep(state, goal, result)
         self._model.train(gradient_steps=STEPS, batch_size=BATCH)
 
-    def policy(self, states: Floats) -> Floats:
+    def policy(self, states: Array) -> Array:
         """The policy's means."""
         return self._goals(states, self._actions(states, deterministic=True))
 
-    def _keep(self, state: Floats, goal: Floats, result: TrialResult) -> None:
+    def _keep(self, state: Array, goal: Array, result: TrialResult) -> None:
         z = self._offsets.scales.states(state)[None, :]
         action = np.clip(self._offsets.of(state, goal) / REACH, -1.0, 1.0)
         reward = np.array([-cost_of(result)])
         self._model.replay_buffer.add(z, z, action, reward, np.array([True]), [{}])
 
-    def _actions(self, states: Floats, *, deterministic: bool) -> Floats:
+    def _actions(self, states: Array, *, deterministic: bool) -> Array:
         z = self._offsets.scales.states(states).astype(np.float32)
         return np.asarray(self._model.predict(z, deterministic=deterministic)[0], np.float64)
 
-    def _goals(self, states: Floats, actions: Floats) -> Floats:
+    def _goals(self, states: Array, actions: Array) -> Array:
         return self._offsets.goals(states, REACH * np.clip(actions, -1.0, 1.0))
 
 

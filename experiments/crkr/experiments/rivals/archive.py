@@ -11,8 +11,8 @@ from ribs.emitters.operators import IsoLineOperator
 from scipy.spatial import cKDTree
 
 from crkr.experiments.rivals.rival import Offsets, cost_of
-from crkr.protocol import TaskSpec
-from crkr.sim_worker.skill import Demonstration, Floats, TrialResult
+from crkr.protocol import Array, TaskSpec
+from crkr.sim_worker.skill import Demonstration, TrialResult
 
 __all__ = ["EliteArchive"]
 
@@ -46,21 +46,21 @@ class EliteArchive:
         for shown in demonstrations:
             self.tell(shown.state, shown.goal, shown.result)
 
-    def ask(self, state: Floats) -> Floats:
+    def ask(self, state: Array) -> Array:
         """A variation of the nearest elite, along the line to a random one."""
         parents = np.array([self._elites(state[None, :]), self._archive.sample_elites(1)["solution"]])
-        goal: Floats = self._offsets.goals(state[None, :], self._vary.ask(parents))[0]
+        goal: Array = self._offsets.goals(state[None, :], self._vary.ask(parents))[0]
         return goal
 
-    def tell(self, state: Floats, goal: Floats, result: TrialResult) -> None:
+    def tell(self, state: Array, goal: Array, result: TrialResult) -> None:
         """Offers the trial to the archive."""
         self._archive.add_single(self._offsets.of(state, goal), -cost_of(result), self._scales.states(state))
 
-    def policy(self, states: Floats) -> Floats:
+    def policy(self, states: Array) -> Array:
         """The elites of the nearest cells that have one."""
         return self._offsets.goals(states, self._elites(states))
 
-    def _elites(self, states: Floats) -> Floats:
+    def _elites(self, states: Array) -> Array:
         elites = self._archive.data()
         _, nearest = cKDTree(self._archive.centroids[elites["index"]]).query(self._scales.states(states))
         return np.asarray(elites["solution"][nearest])

@@ -18,8 +18,8 @@ from botorch.sampling import SobolQMCNormalSampler
 from gpytorch.mlls import SumMarginalLogLikelihood
 
 from crkr.experiments.rivals.rival import Offsets
-from crkr.protocol import Invalid, TaskSpec
-from crkr.sim_worker.skill import Demonstration, Floats, TrialResult
+from crkr.protocol import Array, Invalid, TaskSpec
+from crkr.sim_worker.skill import Demonstration, TrialResult
 
 __all__ = ["CompositeOptimisation"]
 
@@ -47,7 +47,7 @@ class CompositeOptimisation:
         torch.set_num_threads(1)
         self._spec, self._seed = spec, seed
         self._rng = np.random.default_rng(seed)
-        self._trials: list[tuple[Floats, Floats]] = []
+        self._trials: list[tuple[Array, Array]] = []
         self._known = 0
 
     def start(self, demonstrations: Sequence[Demonstration]) -> None:
@@ -57,7 +57,7 @@ class CompositeOptimisation:
         for shown in demonstrations:
             self.tell(shown.state, shown.goal, shown.result)
 
-    def ask(self, state: Floats) -> Floats:
+    def ask(self, state: Array) -> Array:
         """The goal of the highest bound, of several searches."""
         states = np.repeat(state[None, :], STARTS, axis=0)
         starts = self._rng.uniform(-REACH, REACH, (STARTS, len(self._spec.goal))) / 4
@@ -65,16 +65,16 @@ class CompositeOptimisation:
         self._fit()
         bound = qUpperConfidenceBound(self._model, BETA, self._sampler(), self._objective())
         found, values = self._search(states, starts, bound)
-        goal: Floats = self._offsets.goals(state[None, :], found[np.argmax(values)][None, :])[0]
+        goal: Array = self._offsets.goals(state[None, :], found[np.argmax(values)][None, :])[0]
         return goal
 
-    def tell(self, state: Floats, goal: Floats, result: TrialResult) -> None:
+    def tell(self, state: Array, goal: Array, result: TrialResult) -> None:
         """Keeps what was measured."""
         if result.outcome is not None:
             x = np.concatenate([self._offsets.scales.states(state), self._offsets.of(state, goal)])
             self._trials.append((x, self._offsets.scales.outcomes(result.outcome)))
 
-    def policy(self, states: Floats) -> Floats:
+    def policy(self, states: Array) -> Array:
         """The goals of the highest expected objective, found together."""
         self._fit()
         mean = qSimpleRegret(self._model, self._sampler(), self._objective())
@@ -92,7 +92,7 @@ class CompositeOptimisation:
 
         return GenericMCObjective(score)
 
-    def _search(self, states: Floats, starts: Floats, acquisition: Any) -> tuple[Floats, Floats]:
+    def _search(self, states: Array, starts: Array, acquisition: Any) -> tuple[Array, Array]:
         """Offsets (b, p) of the best goals in states (b, d), each from its start, and their values (b,)."""
         z = torch.as_tensor(self._offsets.scales.states(states))[:, None, :]
         d = z.shape[-1]

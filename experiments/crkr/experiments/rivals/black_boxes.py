@@ -9,8 +9,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from crkr.experiments.rivals.rival import Offsets, cost_of
-from crkr.protocol import TaskSpec
-from crkr.sim_worker.skill import Demonstration, Floats, TrialResult
+from crkr.protocol import Array, TaskSpec
+from crkr.sim_worker.skill import Demonstration, TrialResult
 
 __all__ = ["FixedContexts", "nevergrad_tbpsa", "optuna_tpe"]
 
@@ -22,13 +22,13 @@ BUDGET: Final = 300  # trials that Nevergrad is told to expect in each optimiser
 class Optimiser(Protocol):
     """Minimises the cost of one vector (p,), each entry within REACH."""
 
-    def ask(self) -> Floats:
+    def ask(self) -> Array:
         """What to try next."""
 
     def tell(self, cost: float) -> None:
         """The cost of what was asked for last."""
 
-    def best(self) -> Floats:
+    def best(self) -> Array:
         """What it recommends."""
 
 
@@ -54,22 +54,22 @@ class FixedContexts:
         count = len(self._spec.goal)
         self._optimisers = [self._make(count, len(states) * self._seed + number) for number in range(len(states))]
 
-    def ask(self, state: Floats) -> Floats:
+    def ask(self, state: Array) -> Array:
         """What the nearest demonstration's optimiser asks for."""
-        goal: Floats = self._offsets.goals(state[None, :], self._optimiser(state).ask()[None, :])[0]
+        goal: Array = self._offsets.goals(state[None, :], self._optimiser(state).ask()[None, :])[0]
         return goal
 
-    def tell(self, state: Floats, goal: Floats, result: TrialResult) -> None:
+    def tell(self, state: Array, goal: Array, result: TrialResult) -> None:
         """Tells that optimiser the cost."""
         del goal  # Unused: it is the one that was asked for.
         self._optimiser(state).tell(cost_of(result))
 
-    def policy(self, states: Floats) -> Floats:
+    def policy(self, states: Array) -> Array:
         """What the nearest demonstrations' optimisers recommend."""
         best = np.array([one.best() for one in self._optimisers])
         return self._offsets.goals(states, best[self._nearest.query(self._scales.states(states))[1]])
 
-    def _optimiser(self, state: Floats) -> Optimiser:
+    def _optimiser(self, state: Array) -> Optimiser:
         _, nearest = self._nearest.query(self._scales.states(state))
         return self._optimisers[int(nearest)]
 
@@ -89,7 +89,7 @@ class _Optuna:
         self._study.enqueue_trial(dict.fromkeys(self._names, 0.0))
         self._told = False
 
-    def ask(self) -> Floats:
+    def ask(self) -> Array:
         self._trial = self._study.ask(self._within)
         return np.array([self._trial.params[name] for name in self._names])
 
@@ -97,7 +97,7 @@ class _Optuna:
         self._study.tell(self._trial, cost)
         self._told = True
 
-    def best(self) -> Floats:
+    def best(self) -> Array:
         if not self._told:
             return np.zeros(len(self._names))
         return np.array([self._study.best_params[name] for name in self._names])
@@ -114,14 +114,14 @@ class _Nevergrad:
         offset.random_state.seed(seed)
         self._optimiser = nevergrad.optimizers.TBPSA(parametrization=offset, budget=BUDGET)
 
-    def ask(self) -> Floats:
+    def ask(self) -> Array:
         self._asked = self._optimiser.ask()
         return np.asarray(self._asked.value)
 
     def tell(self, cost: float) -> None:
         self._optimiser.tell(self._asked, cost)
 
-    def best(self) -> Floats:
+    def best(self) -> Array:
         return np.asarray(self._optimiser.provide_recommendation().value)
 
 

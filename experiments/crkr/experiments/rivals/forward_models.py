@@ -12,12 +12,12 @@ from sklearn.linear_model import Ridge
 from sklearn.preprocessing import PolynomialFeatures
 
 from crkr.experiments.rivals.rival import TaskScales
-from crkr.protocol import Invalid, TaskSpec
-from crkr.sim_worker.skill import Demonstration, Floats, TrialResult
+from crkr.protocol import Array, Invalid, TaskSpec
+from crkr.sim_worker.skill import Demonstration, TrialResult
 
 __all__ = ["REFIT", "ForwardModel", "Surface", "SurfaceFit", "bayesian_quadratic", "ridge_quadratic"]
 
-SurfaceFit = Callable[[Floats], tuple[Floats, Floats]]  # x (b, n) -> outcomes (b, q) and their slopes (b, q, n)
+SurfaceFit = Callable[[Array], tuple[Array, Array]]  # x (b, n) -> outcomes (b, q) and their slopes (b, q, n)
 
 STEPS: Final = 12  # of Gauss-Newton; more change no goal by a thousandth of its scale
 DAMPING: Final = 1e-6
@@ -28,7 +28,7 @@ REFIT: Final = 1.02
 class Surface(Protocol):
     """Outcomes as smooth functions of x, a scaled state followed by a scaled goal."""
 
-    def add(self, x: Floats, y: Floats) -> None:
+    def add(self, x: Array, y: Array) -> None:
         """Takes one trial: x (n,), y (q,), NaN where not observed."""
 
     def fit(self) -> SurfaceFit:
@@ -55,7 +55,7 @@ class ForwardModel:
         self._spec = spec
         self._rng = np.random.default_rng(seed)
         self._make_surface, self._noise, self._trust = surface, noise, trust
-        self._successes: list[tuple[Floats, Floats]] = []
+        self._successes: list[tuple[Array, Array]] = []
 
     def start(self, demonstrations: Sequence[Demonstration]) -> None:
         """Scales everything by them, and takes them as successes."""
@@ -65,13 +65,13 @@ class ForwardModel:
         for shown in demonstrations:
             self.tell(shown.state, shown.goal, shown.result)
 
-    def ask(self, state: Floats) -> Floats:
+    def ask(self, state: Array) -> Array:
         """The best goal, with noise. Thompson sampling is far worse: one draw of 210 weights says nothing."""
         unit = np.array([entry.scale for entry in self._spec.goal])
         goal = self._search(state[None, :])[0] + self._noise * unit * self._rng.standard_normal(len(unit))
         return np.asarray(np.clip(goal, self._scales.low, self._scales.high))
 
-    def tell(self, state: Floats, goal: Floats, result: TrialResult) -> None:
+    def tell(self, state: Array, goal: Array, result: TrialResult) -> None:
         """Adds what was observed; successes also move the goals that are searched around."""
         z, g = self._scales.states(state), self._scales.goals(goal)
         if result.outcome is not None:
@@ -79,17 +79,17 @@ class ForwardModel:
         if result.success and result.executed:
             self._successes.append((z, g))
 
-    def policy(self, states: Floats) -> Floats:
+    def policy(self, states: Array) -> Array:
         """The best goals by the mean of the surface."""
         return self._search(states)
 
-    def _cloned(self, z: Floats) -> Floats:
+    def _cloned(self, z: Array) -> Array:
         """Behaviour cloning: a ridge regression of successful goals on states."""
         inputs, goals = (np.array(part) for part in zip(*self._successes, strict=True))
         model = Ridge(CLONING_RIDGE * len(inputs)).fit(inputs, goals)
         return np.asarray(model.predict(z))
 
-    def _search(self, states: Floats) -> Floats:
+    def _search(self, states: Array) -> Array:
         """Gauss-Newton on outcome deviations in tolerances and distances from the cloned goal in trusted scales."""
         z = self._scales.states(states)
         prior = self._cloned(z)
@@ -108,13 +108,13 @@ class ForwardModel:
         return self._scales.real_goals(goals)
 
 
-def _quadratic_features(x: Floats) -> Floats:
+def _quadratic_features(x: Array) -> Array:
     """1, x and all products of two entries."""
     rows, columns = np.triu_indices(len(x))
     return np.concatenate([[1.0], x, x[rows] * x[columns]])
 
 
-def _quadratic(weights: Floats, size: int) -> SurfaceFit:
+def _quadratic(weights: Array, size: int) -> SurfaceFit:
     """The quadratics y = c + b x + x A x of weights (q, features)."""
     rows, columns = np.triu_indices(size)
     constant, slope = weights[:, 0], weights[:, 1 : 1 + size]
@@ -122,7 +122,7 @@ def _quadratic(weights: Floats, size: int) -> SurfaceFit:
     curvature[:, rows, columns] += weights[:, 1 + size :] / 2
     curvature[:, columns, rows] += weights[:, 1 + size :] / 2
 
-    def outcomes(x: Floats) -> tuple[Floats, Floats]:
+    def outcomes(x: Array) -> tuple[Array, Array]:
         bent = np.einsum("qij,bj->bqi", curvature, x)
         return constant + x @ slope.T + np.einsum("bqi,bi->bq", bent, x), slope + 2 * bent
 
@@ -140,7 +140,7 @@ class _BayesianSurface:
         self._precision = np.repeat(np.diag(prior**-2.0)[None], entries, axis=0)
         self._push = np.zeros((entries, len(prior)))
 
-    def add(self, x: Floats, y: Floats) -> None:
+    def add(self, x: Array, y: Array) -> None:
         features = _quadratic_features(x)
         seen = np.isfinite(y)
         weights = 1 / (self._noise**2 * (1 + np.nansum(y**2)))
@@ -167,11 +167,11 @@ class _RidgeSurface:
     def __init__(self, entries: int, size: int, alpha: float) -> None:
         self._entries, self._size, self._alpha = entries, size, alpha
         self._expand = PolynomialFeatures(2).fit(np.zeros((1, size)))
-        self._x: list[Floats] = []
-        self._y: list[Floats] = []
-        self._fitted: tuple[int, Floats] = (0, np.zeros((entries, 0)))
+        self._x: list[Array] = []
+        self._y: list[Array] = []
+        self._fitted: tuple[int, Array] = (0, np.zeros((entries, 0)))
 
-    def add(self, x: Floats, y: Floats) -> None:
+    def add(self, x: Array, y: Array) -> None:
         self._x.append(x)
         self._y.append(y)
 

@@ -12,8 +12,7 @@ from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, DotProduct, WhiteKernel
 
 from crkr.experiments.rivals.forward_models import REFIT, ForwardModel, SurfaceFit
-from crkr.protocol import TaskSpec
-from crkr.sim_worker.skill import Floats
+from crkr.protocol import Array, TaskSpec
 
 __all__ = ["global_gp"]
 
@@ -22,7 +21,7 @@ EVIDENCE: Final = 300  # trials at most from which a kernel's parameters are fou
 STEPS: Final = 30
 
 
-def _descend(objective: Any, start: Floats, bounds: Floats) -> tuple[Floats, float]:
+def _descend(objective: Any, start: Array, bounds: Array) -> tuple[Array, float]:
     """The search for a kernel's parameters, without scikit-learn's warning where it is cut short."""
     found = minimize(objective, start, jac=True, bounds=bounds, method="L-BFGS-B", options={"maxiter": STEPS})
     return found.x, float(found.fun)
@@ -38,12 +37,12 @@ class _GaussianProcesses:
         start = ConstantKernel(1.0, (1e-4, 1e4)) * RBF(3.0, (0.5, 100.0))
         start += ConstantKernel(1.0, (1e-4, 1e4)) * DotProduct(1.0, (1e-2, 1e2)) ** 2 + WhiteKernel(0.01, (1e-4, 10.0))
         self._kernels = [start] * entries
-        self._x: list[Floats] = []
-        self._y: list[Floats] = []
+        self._x: list[Array] = []
+        self._y: list[Array] = []
         self._searched, self._known = 0, 0
         self._fitted: list[GaussianProcessRegressor | None] = [None] * entries
 
-    def add(self, x: Floats, y: Floats) -> None:
+    def add(self, x: Array, y: Array) -> None:
         self._x.append(x)
         self._y.append(y)
 
@@ -57,7 +56,7 @@ class _GaussianProcesses:
                 self._fit_entry(entry, x, y[:, entry], search=search)
         return self._outcomes
 
-    def _fit_entry(self, entry: int, x: Floats, y: Floats, *, search: bool) -> None:
+    def _fit_entry(self, entry: int, x: Array, y: Array, *, search: bool) -> None:
         seen = np.flatnonzero(np.isfinite(y))
         if not len(seen):
             return
@@ -71,7 +70,7 @@ class _GaussianProcesses:
         model = GaussianProcessRegressor(self._kernels[entry], alpha=noise[seen], optimizer=None)
         self._fitted[entry] = model.fit(x[seen], y[seen])
 
-    def _outcomes(self, x: Floats) -> tuple[Floats, Floats]:
+    def _outcomes(self, x: Array) -> tuple[Array, Array]:
         """Means (b, q) and their slopes (b, q, n), which scikit-learn does not give."""
         means = np.zeros((len(x), len(self._fitted)))
         slopes = np.zeros((*means.shape, x.shape[1]))

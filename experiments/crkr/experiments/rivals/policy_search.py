@@ -12,8 +12,8 @@ from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 
 from crkr.experiments.rivals.rival import TaskScales, cost_of
-from crkr.protocol import TaskSpec
-from crkr.sim_worker.skill import Demonstration, Floats, TrialResult
+from crkr.protocol import Array, TaskSpec
+from crkr.sim_worker.skill import Demonstration, TrialResult
 
 __all__ = ["LinearGaussianSearch", "SuccessRegression", "contextual_cma_es", "contextual_reps"]
 
@@ -28,8 +28,8 @@ class SuccessRegression:
 
     def __init__(self, spec: TaskSpec, seed: int) -> None:
         self._spec, self._rng = spec, np.random.default_rng(seed)
-        self._states: list[Floats] = []
-        self._goals: list[Floats] = []
+        self._states: list[Array] = []
+        self._goals: list[Array] = []
 
     def start(self, demonstrations: Sequence[Demonstration]) -> None:
         """The first successes."""
@@ -37,24 +37,24 @@ class SuccessRegression:
         for shown in demonstrations:
             self.tell(shown.state, shown.goal, shown.result)
 
-    def ask(self, state: Floats) -> Floats:
+    def ask(self, state: Array) -> Array:
         """A draw of the posterior, at least a tenth of a scale wide."""
         mean, deviation = self._predict(state[None, :])
         noise = np.maximum(deviation[0], 0.1) * self._rng.standard_normal(mean.shape[1])
         return self._scales.real_goals(mean[0] + noise)
 
-    def tell(self, state: Floats, goal: Floats, result: TrialResult) -> None:
+    def tell(self, state: Array, goal: Array, result: TrialResult) -> None:
         """Keeps successes."""
         if result.success and result.executed:
             self._states.append(self._scales.states(state))
             self._goals.append(self._scales.goals(goal))
             self._model: GaussianProcessRegressor | None = None
 
-    def policy(self, states: Floats) -> Floats:
+    def policy(self, states: Array) -> Array:
         """The posterior's mean."""
         return self._scales.real_goals(self._predict(states)[0])
 
-    def _predict(self, states: Floats) -> tuple[Floats, Floats]:
+    def _predict(self, states: Array) -> tuple[Array, Array]:
         if self._model is None:
             kernel = ConstantKernel(1.0) * RBF(np.ones(len(self._spec.state))) + WhiteKernel(0.1)
             self._model = GaussianProcessRegressor(kernel, optimizer=None)
@@ -80,7 +80,7 @@ class LinearGaussianSearch:
 
     def __init__(self, spec: TaskSpec, seed: int, improve: Improvement, deviation: float) -> None:
         self._spec, self._rng, self._improve, self._deviation = spec, np.random.default_rng(seed), improve, deviation
-        self._trials: list[tuple[Floats, Floats, float]] = []
+        self._trials: list[tuple[Array, Array, float]] = []
 
     def start(self, demonstrations: Sequence[Demonstration]) -> None:
         """A ridge regression of the demonstrations, and noise."""
@@ -89,15 +89,15 @@ class LinearGaussianSearch:
         goals = np.array([self._scales.goals(shown.goal) for shown in demonstrations])
         ridge = np.eye(features.shape[1])
         ridge[0, 0] = 1e-9
-        self.gain: Floats = np.linalg.solve(features.T @ features + ridge, features.T @ goals)
-        self.covariance: Floats = np.eye(goals.shape[1]) * self._deviation**2
+        self.gain: Array = np.linalg.solve(features.T @ features + ridge, features.T @ goals)
+        self.covariance: Array = np.eye(goals.shape[1]) * self._deviation**2
 
-    def ask(self, state: Floats) -> Floats:
+    def ask(self, state: Array) -> Array:
         """A draw of the policy."""
         noise = np.linalg.cholesky(self.covariance) @ self._rng.standard_normal(len(self.covariance))
         return self._scales.real_goals(self._features(state) @ self.gain + noise)
 
-    def tell(self, state: Floats, goal: Floats, result: TrialResult) -> None:
+    def tell(self, state: Array, goal: Array, result: TrialResult) -> None:
         """Improves the policy when a batch is full."""
         self._trials.append((self._features(state), self._scales.goals(goal), cost_of(result)))
         if len(self._trials) == BATCH:
@@ -105,26 +105,26 @@ class LinearGaussianSearch:
             self._trials.clear()
             self._improve(self, features, goals, costs)
 
-    def policy(self, states: Floats) -> Floats:
+    def policy(self, states: Array) -> Array:
         """The policy's mean."""
         return self._scales.real_goals(self._features(states) @ self.gain)
 
-    def fit(self, features: Floats, goals: Floats, weights: Floats, old: float) -> None:
+    def fit(self, features: Array, goals: Array, weights: Array, old: float) -> None:
         """Moves the gain by weighted regression, with the old gain as a prior of weight `old`."""
         prior = old * np.eye(features.shape[1])
         normal = features.T @ (weights[:, None] * features) + prior
         moved = np.linalg.solve(normal, features.T @ (weights[:, None] * goals) + prior @ self.gain)
         self.gain = np.asarray(moved, np.float64)
 
-    def _features(self, states: Floats) -> Floats:
+    def _features(self, states: Array) -> Array:
         scaled = self._scales.states(states)
         return np.concatenate([np.ones((*scaled.shape[:-1], 1)), scaled], axis=-1)
 
 
-Improvement = Callable[[LinearGaussianSearch, Floats, Floats, Floats], None]
+Improvement = Callable[[LinearGaussianSearch, Array, Array, Array], None]
 
 
-def _reps_step(search: LinearGaussianSearch, features: Floats, goals: Floats, costs: Floats) -> None:
+def _reps_step(search: LinearGaussianSearch, features: Array, goals: Array, costs: Array) -> None:
     baseline = features @ np.linalg.lstsq(features, -costs, rcond=None)[0]
     advantages = -costs - baseline
 
@@ -149,7 +149,7 @@ def contextual_reps(spec: TaskSpec, seed: int) -> LinearGaussianSearch:
     return LinearGaussianSearch(spec, seed, _reps_step, deviation=1 / 3)
 
 
-def _cma_step(search: LinearGaussianSearch, features: Floats, goals: Floats, costs: Floats) -> None:
+def _cma_step(search: LinearGaussianSearch, features: Array, goals: Array, costs: Array) -> None:
     best = np.argsort(costs)[: len(costs) // 2]
     weights = np.zeros(len(costs))
     weights[best] = np.log(len(best) + 0.5) - np.log(np.arange(1, len(best) + 1))

@@ -9,8 +9,8 @@ import numpy as np
 from sklearn.linear_model import Ridge
 
 from crkr.learner import Learner, SelectorFactory
-from crkr.protocol import TaskSpec, training_id
-from crkr.sim_worker.skill import Demonstration, Floats, TrialResult
+from crkr.protocol import Array, TaskSpec, training_id
+from crkr.sim_worker.skill import Demonstration, TrialResult
 
 __all__ = ["Crkr", "Offsets", "Rival", "TaskScales", "cost_of"]
 
@@ -24,13 +24,13 @@ class Rival(Protocol):
     def start(self, demonstrations: Sequence[Demonstration]) -> None:
         """Takes the demonstrations, before the first trial."""
 
-    def ask(self, state: Floats) -> Floats:
+    def ask(self, state: Array) -> Array:
         """The goal (p,) to try in a state (d,), with exploration."""
 
-    def tell(self, state: Floats, goal: Floats, result: TrialResult) -> None:
+    def tell(self, state: Array, goal: Array, result: TrialResult) -> None:
         """Takes the result of the goal that was asked for last."""
 
-    def policy(self, states: Floats) -> Floats:
+    def policy(self, states: Array) -> Array:
         """The best goals (b, p) for states (b, d), without exploration; changes nothing."""
 
 
@@ -56,28 +56,28 @@ class TaskScales:
         self._state_mean = np.mean([one.state for one in demonstrations], axis=0)
         self._goal_mean = np.mean([one.goal for one in demonstrations], axis=0)
 
-    def states(self, states: Floats) -> Floats:
+    def states(self, states: Array) -> Array:
         """Scaled states of the same shape."""
-        scaled: Floats = (states - self._state_mean) / self._state_unit
+        scaled: Array = (states - self._state_mean) / self._state_unit
         return scaled
 
-    def goals(self, goals: Floats) -> Floats:
+    def goals(self, goals: Array) -> Array:
         """Scaled goals of the same shape."""
-        scaled: Floats = (goals - self._goal_mean) / self._goal_unit
+        scaled: Array = (goals - self._goal_mean) / self._goal_unit
         return scaled
 
-    def bounds(self) -> tuple[Floats, Floats]:
+    def bounds(self) -> tuple[Array, Array]:
         """Lower and upper bounds (p,) of scaled goals."""
         return self.goals(self.low), self.goals(self.high)
 
-    def real_goals(self, scaled: Floats) -> Floats:
+    def real_goals(self, scaled: Array) -> Array:
         """Goals of scaled ones, clipped to their bounds."""
-        clipped: Floats = np.clip(self._goal_mean + scaled * self._goal_unit, self.low, self.high)
+        clipped: Array = np.clip(self._goal_mean + scaled * self._goal_unit, self.low, self.high)
         return clipped
 
-    def outcomes(self, outcome: Floats) -> Floats:
+    def outcomes(self, outcome: Array) -> Array:
         """Deviations from the target (q,) in tolerances; NaN stays."""
-        scaled: Floats = (outcome - self._target) / self._tolerance
+        scaled: Array = (outcome - self._target) / self._tolerance
         return scaled
 
 
@@ -90,12 +90,12 @@ class Offsets:
         states, goals = (np.array([getattr(one, name) for one in demonstrations]) for name in ("state", "goal"))
         self._cloned = Ridge(1.0).fit(self.scales.states(states), self.scales.goals(goals))
 
-    def of(self, state: Floats, goal: Floats) -> Floats:
+    def of(self, state: Array, goal: Array) -> Array:
         """The offset (p,) of a goal in a state."""
-        offset: Floats = self.scales.goals(goal) - self._cloned.predict(self.scales.states(state)[None, :])[0]
+        offset: Array = self.scales.goals(goal) - self._cloned.predict(self.scales.states(state)[None, :])[0]
         return offset
 
-    def goals(self, states: Floats, offsets: Floats) -> Floats:
+    def goals(self, states: Array, offsets: Array) -> Array:
         """Goals (b, p) within their bounds."""
         return self.scales.real_goals(self._cloned.predict(self.scales.states(states)) + offsets)
 
@@ -123,15 +123,15 @@ class Crkr:
                 outcome=result.outcome,
             )  # fmt: skip
 
-    def ask(self, state: Floats) -> Floats:
+    def ask(self, state: Array) -> Array:
         """The goal of an exploring prediction."""
         self._trials += 1
         trial_id = training_id(self._learner.spec.name, self._seed, 1, self._trials)
         self._answer = self._learner.predict(state, explore=True, trial_ids=trial_id)
-        goals: Floats = self._answer.goals
+        goals: Array = self._answer.goals
         return goals
 
-    def tell(self, state: Floats, goal: Floats, result: TrialResult) -> None:
+    def tell(self, state: Array, goal: Array, result: TrialResult) -> None:
         """Reports the trial."""
         del state, goal  # Unused: they are the answer's.
         kind = "trial" if result.executed else "failed"
@@ -140,7 +140,7 @@ class Crkr:
             outcome=result.outcome, learn=result.learn if result.executed else None,
         )  # fmt: skip
 
-    def policy(self, states: Floats) -> Floats:
+    def policy(self, states: Array) -> Array:
         """Means of the regression, moved by outcomes where the task has them."""
-        goals: Floats = self._learner.predict(states).goals
+        goals: Array = self._learner.predict(states).goals
         return goals

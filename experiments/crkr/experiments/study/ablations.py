@@ -15,8 +15,8 @@ import numpy as np
 
 from crkr.experiments.rivals.rival import Crkr, Rival
 from crkr.learner import SELECTORS
-from crkr.protocol import TaskSpec
-from crkr.sim_worker.skill import Demonstration, Floats, TrialResult
+from crkr.protocol import Array, TaskSpec
+from crkr.sim_worker.skill import Demonstration, TrialResult
 
 __all__ = ["ABLATIONS", "WHOLE", "Ablation"]
 
@@ -72,18 +72,18 @@ class _AblatedLearner:
         shown = [(one, self._told(one.result)) for one in demonstrations[: self._ablation.demonstrations]]
         self._learner.start([replace(one, result=told) for one, told in shown if told is not None])
 
-    def ask(self, state: Floats) -> Floats:
+    def ask(self, state: Array) -> Array:
         """The goal that is executed, which the robot may change."""
         return self._moved(self._learner.ask(state))
 
-    def tell(self, state: Floats, goal: Floats, result: TrialResult) -> None:
+    def tell(self, state: Array, goal: Array, result: TrialResult) -> None:
         """Tells it, changed or not at all."""
         self._trials += 1
         told = self._told(result)
         if told is not None:
             self._learner.tell(state, goal, told)
 
-    def policy(self, states: Floats) -> Floats:
+    def policy(self, states: Array) -> Array:
         """The goals that are executed."""
         return self._moved(self._learner.policy(states))
 
@@ -91,17 +91,17 @@ class _AblatedLearner:
         change = self._ablation.told
         return result if change is None else change(self._spec, result, self._rng)
 
-    def _moved(self, goals: Floats) -> Floats:
+    def _moved(self, goals: Array) -> Array:
         if not self._ablation.offset or self._trials < CHANGED_AFTER:
             return goals
         low, high = self._spec.bounds
-        moved: Floats = np.clip(goals + self._step, low, high)
+        moved: Array = np.clip(goals + self._step, low, high)
         return moved
 
 
-def _deviations(spec: TaskSpec, outcome: Floats) -> Floats:
+def _deviations(spec: TaskSpec, outcome: Array) -> Array:
     """Deviations (q,) from the target in tolerances; 0 where more or less is as good, NaN where not observed."""
-    found: Floats = np.array(
+    found: Array = np.array(
         [(value - entry.target) / entry.tolerance for value, entry in zip(outcome, spec.outcome, strict=True)]
     )
     side = np.array([{"equal": 0, "at_least": 1, "at_most": -1}[entry.aim] for entry in spec.outcome])

@@ -20,34 +20,34 @@ from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel
 
 from crkr.learner import Anms, GaussianExplorer, Kernel, Parameters, Regression
-from crkr.protocol import TaskSpec, training_id
-from crkr.sim_worker.skill import Demonstration, Floats, TrialResult
+from crkr.protocol import Array, TaskSpec, training_id
+from crkr.sim_worker.skill import Demonstration, TrialResult
 
 __all__ = ["APPROXIMATORS", "ApproximateLearner"]
 
 Indices = np.ndarray[tuple[int], np.dtype[np.intp]]
-Posterior = Callable[[Floats], tuple[Floats, Floats]]
+Posterior = Callable[[Array], tuple[Array, Array]]
 """Means (b, p) and variances (b,) at standardised states (b, d)."""
-Approximator = Callable[[Kernel, Floats, Floats, Floats, "Indices"], Posterior]
+Approximator = Callable[[Kernel, Array, Array, Array, "Indices"], Posterior]
 """A posterior from kernel, Z, Y, N and u."""
 
 NEAREST: Final = 60
 JITTER: Final = 1e-8  # of the signal variance
 
 
-def exact(kernel: Kernel, Z: Floats, Y: Floats, N: Floats, u: Indices) -> Posterior:
+def exact(kernel: Kernel, Z: Array, Y: Array, N: Array, u: Indices) -> Posterior:
     """scikit-learn's regression on the samples that ANMS keeps: the learner's own, by other code."""
     amplitude = ConstantKernel(kernel.signal_variance, "fixed")
     model = GaussianProcessRegressor(amplitude * RBF(1.0, "fixed"), alpha=N[u], optimizer=None).fit(Z[u], Y[u])
 
-    def posterior(z: Floats) -> tuple[Floats, Floats]:
+    def posterior(z: Array) -> tuple[Array, Array]:
         mean, deviation = model.predict(z, return_std=True)
         return np.asarray(mean), np.asarray(deviation)[:, 0] ** 2
 
     return posterior
 
 
-def deterministic_training(kernel: Kernel, Z: Floats, Y: Floats, N: Floats, u: Indices) -> Posterior:
+def deterministic_training(kernel: Kernel, Z: Array, Y: Array, N: Array, u: Indices) -> Posterior:
     """All samples, seen through inducing points where ANMS keeps some  [Quinonero2005, DTC].
 
     SGPR with these inducing points has the same means and variances; it differs in how it would choose the kernel.
@@ -60,7 +60,7 @@ def deterministic_training(kernel: Kernel, Z: Floats, Y: Floats, N: Floats, u: I
     M = np.linalg.cholesky(np.eye(len(u)) + A @ A.T)
     c = solve_triangular(M, A @ (weight[:, None] * Y), lower=True)  # (m, p)
 
-    def posterior(z: Floats) -> tuple[Floats, Floats]:
+    def posterior(z: Array) -> tuple[Array, Array]:
         a = solve_triangular(L, kernel.matrix(Z[u], z), lower=True)
         b = solve_triangular(M, a, lower=True)
         return b.T @ c, np.maximum(kernel.variance(z) - (a * a).sum(axis=0) + (b * b).sum(axis=0), 0.0)
@@ -68,11 +68,11 @@ def deterministic_training(kernel: Kernel, Z: Floats, Y: Floats, N: Floats, u: I
     return posterior
 
 
-def nearest(kernel: Kernel, Z: Floats, Y: Floats, N: Floats, u: Indices, *, everything: bool) -> Posterior:
+def nearest(kernel: Kernel, Z: Array, Y: Array, N: Array, u: Indices, *, everything: bool) -> Posterior:
     """Regression on the samples nearest to each query, among all or among those that ANMS keeps."""
     Z, Y, N = (Z, Y, N) if everything else (Z[u], Y[u], N[u])
 
-    def posterior(z: Floats) -> tuple[Floats, Floats]:
+    def posterior(z: Array) -> tuple[Array, Array]:
         found = []
         for one, distances in zip(z, cdist(z, Z, "sqeuclidean"), strict=True):
             near = np.sort(np.argsort(distances, kind="stable")[:NEAREST])
@@ -112,7 +112,7 @@ class ApproximateLearner:
         for shown in demonstrations:
             self.tell(shown.state, shown.goal, shown.result)
 
-    def ask(self, state: Floats) -> Floats:
+    def ask(self, state: Array) -> Array:
         """A draw of the posterior within the bounds, the same that the learner makes in this trial."""
         self._trials += 1
         trial_id = training_id(self._spec.name, self._spec.seed, 1, self._trials)
@@ -120,7 +120,7 @@ class ApproximateLearner:
         sigmas = self._parameters.scales * (self._parameters.explore_scale * np.sqrt(variances[0]))
         return self._explorer.draw(state, means[0], sigmas, [trial_id]).goals
 
-    def tell(self, state: Floats, goal: Floats, result: TrialResult) -> None:
+    def tell(self, state: Array, goal: Array, result: TrialResult) -> None:
         """Keeps successes."""
         if not (result.success and result.executed):
             return
@@ -129,13 +129,13 @@ class ApproximateLearner:
         self._Z, self._goals = np.concatenate([self._Z, z]), np.concatenate([self._goals, goal[None]])
         self._costs, self._posterior = np.concatenate([self._costs, cost]), None
 
-    def policy(self, states: Floats) -> Floats:
+    def policy(self, states: Array) -> Array:
         """Means of the posterior within the bounds."""
         means, _ = self._predict(states)
-        clipped: Floats = np.clip(means, self._explorer.low, self._explorer.high)
+        clipped: Array = np.clip(means, self._explorer.low, self._explorer.high)
         return clipped
 
-    def _predict(self, states: Floats) -> tuple[Floats, Floats]:
+    def _predict(self, states: Array) -> tuple[Array, Array]:
         own = self._parameters
         if self._posterior is None:
             Y = (self._goals - own.prior) / own.scales

@@ -19,8 +19,8 @@ from crkr.experiments.study.approximators import APPROXIMATORS
 from crkr.experiments.study.selectors import RIVAL_SELECTORS
 from crkr.experiments.study.ways import Way
 from crkr.learner import Kernel, Learner
-from crkr.protocol import TaskSpec
-from crkr.sim_worker.skill import Demonstration, Floats, TrialResult
+from crkr.protocol import Array, TaskSpec
+from crkr.sim_worker.skill import Demonstration, TrialResult
 from crkr.sim_worker.table_tennis.ball.launchers import LAUNCHERS
 from crkr.sim_worker.table_tennis.spec import task_spec
 
@@ -43,7 +43,7 @@ class AppendedRows:
         self._Z, self._B = np.empty((most, len(kernel.centre))), np.empty((most, goals))
         self._packed = np.empty(most * (most + 1) // 2)
 
-    def append(self, z: Floats, y: Floats, noise: float) -> None:
+    def append(self, z: Array, y: Array, noise: float) -> None:
         """One more sample: standardised state (d,), scaled goal (p,)."""
         n, prior = self.count, float(self._kernel.variance(z[None])[0]) + noise
         row = self._solved(z)
@@ -53,17 +53,17 @@ class AppendedRows:
         self._Z[n], self._B[n] = z, (y - row @ self._B[:n]) / pivot
         self.count += 1
 
-    def at(self, z: Floats) -> tuple[Floats, float]:
+    def at(self, z: Array) -> tuple[Array, float]:
         """Mean (p,) and variance at a standardised state (d,)."""
         row = self._solved(z)
         return row @ self._B[: self.count], float(self._kernel.variance(z[None])[0] - row @ row)
 
-    def _solved(self, z: Floats) -> Floats:
+    def _solved(self, z: Array) -> Array:
         n = self.count
         if not n:
             return np.empty(0)
         k = self._kernel.matrix(z[None], self._Z[:n])[0]
-        solved: Floats = blas.dtpsv(n, self._packed[: n * (n + 1) // 2], k, lower=0, trans=1)
+        solved: Array = blas.dtpsv(n, self._packed[: n * (n + 1) // 2], k, lower=0, trans=1)
         return solved
 
 
@@ -90,7 +90,7 @@ def trial_costs(ways: Mapping[str, Way], size: int, rounds: int = ROUNDS) -> dic
     return {name: float(np.mean(times)) for name, times in taken.items()}
 
 
-def _samples(spec: TaskSpec) -> Iterator[tuple[Floats, Floats, float]]:
+def _samples(spec: TaskSpec) -> Iterator[tuple[Array, Array, float]]:
     """States of the task's box, goals that follow them, and costs that fall slowly, as while a task is learned."""
     rng = np.random.default_rng(0)
     low, high = (np.array([getattr(axis, side) for axis in spec.state]) for side in ("low", "high"))

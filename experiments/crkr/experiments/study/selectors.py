@@ -14,12 +14,12 @@ from scipy.spatial.distance import cdist
 
 from crkr.learner import SELECTORS, SelectorFactory
 from crkr.learner.selection.selector import Radii, Standing
-from crkr.sim_worker.skill import Floats
+from crkr.protocol import Array
 
 __all__ = ["RIVAL_SELECTORS", "Rule", "RuleSelector"]
 
 Indices = np.ndarray[tuple[int], np.dtype[np.intp]]
-Rule = Callable[[Floats, Floats, int], "Indices"]
+Rule = Callable[[Array, Array, int], "Indices"]
 """Positions of at most `budget` of n > budget samples, states Z (n, d) and costs (n,) in order of arrival."""
 
 NEAREST: Final = 3  # better samples that novelty is measured from
@@ -47,7 +47,7 @@ class RuleSelector:
             self._active = numbers
         return self._active
 
-    def extend(self, Z: Floats, costs: Floats) -> None:
+    def extend(self, Z: Array, costs: Array) -> None:
         """Adds samples."""
         self._Z, self._costs = np.concatenate([self._Z, Z]), np.concatenate([self._costs, costs])
         self._there = np.concatenate([self._there, np.ones(len(costs), bool)])
@@ -58,12 +58,12 @@ class RuleSelector:
         self._there[indices] = False
         self._active = None
 
-    def recost(self, indices: Indices | int, costs: Floats | float) -> None:
+    def recost(self, indices: Indices | int, costs: Array | float) -> None:
         """Changes costs."""
         self._costs[indices] = costs
         self._active = None
 
-    def rebuild(self, Z: Floats, costs: Floats, radii: Radii | None = None) -> None:
+    def rebuild(self, Z: Array, costs: Array, radii: Radii | None = None) -> None:
         """Takes these samples instead."""
         del radii  # Unused: there are none.
         self._Z, self._costs, self._there = Z.copy(), costs.copy(), np.ones(len(costs), bool)
@@ -83,26 +83,26 @@ class RuleSelector:
         """Nothing need be kept."""
 
 
-def recency(Z: Floats, costs: Floats, budget: int) -> Indices:
+def recency(Z: Array, costs: Array, budget: int) -> Indices:
     """The newest samples."""
     del Z  # Unused.
     return np.arange(len(costs) - budget, len(costs))
 
 
-def reservoir(Z: Floats, costs: Floats, budget: int) -> Indices:
+def reservoir(Z: Array, costs: Array, budget: int) -> Indices:
     """A uniform random choice that new samples enter with the right chance: the least hashes of states."""
     del costs  # Unused.
     keys = [blake2b(row.tobytes(), digest_size=8).digest() for row in np.ascontiguousarray(Z)]
     return np.array(sorted(range(len(keys)), key=keys.__getitem__)[:budget])
 
 
-def lowest_cost(Z: Floats, costs: Floats, budget: int) -> Indices:
+def lowest_cost(Z: Array, costs: Array, budget: int) -> Indices:
     """The cheapest samples, older ones first where costs are equal."""
     del Z  # Unused.
     return np.argsort(costs, kind="stable")[:budget]
 
 
-def farthest_point(Z: Floats, costs: Floats, budget: int) -> Indices:
+def farthest_point(Z: Array, costs: Array, budget: int) -> Indices:
     """Greedily the sample farthest from those chosen, from the oldest on: coverage without costs."""
     del costs  # Unused.
     chosen, distance = [0], cdist(Z[:1], Z)[0]
@@ -112,7 +112,7 @@ def farthest_point(Z: Floats, costs: Floats, budget: int) -> Indices:
     return np.array(chosen)
 
 
-def cover(Z: Floats, costs: Floats, budget: int) -> Indices:
+def cover(Z: Array, costs: Array, budget: int) -> Indices:
     """The cheapest samples that are no nearer to each other than a radius, the least one that keeps to the budget."""
     order = np.argsort(costs, kind="stable")
     apart = cdist(Z[order], Z[order])
@@ -133,7 +133,7 @@ def cover(Z: Floats, costs: Floats, budget: int) -> Indices:
     return kept(high)[:budget]
 
 
-def information_gain(Z: Floats, costs: Floats, budget: int) -> Indices:
+def information_gain(Z: Array, costs: Array, budget: int) -> Indices:
     """Greedily the sample with the largest variance for its noise, by a pivoted Cholesky factorisation.
 
     The noise of a sample is its cost, as in Cost-regularized Kernel Regression with lambda of one.
@@ -153,7 +153,7 @@ def information_gain(Z: Floats, costs: Floats, budget: int) -> Indices:
     return np.array(chosen)
 
 
-def dominated_novelty(Z: Floats, costs: Floats, budget: int) -> Indices:
+def dominated_novelty(Z: Array, costs: Array, budget: int) -> Indices:
     """Samples that are far, on the mean, from their three nearest better ones."""
     order = np.argsort(costs, kind="stable")
     apart = cdist(Z[order], Z[order])
@@ -165,7 +165,7 @@ def dominated_novelty(Z: Floats, costs: Floats, budget: int) -> Indices:
     return order[np.argsort(-novelty, kind="stable")[:budget]]
 
 
-def splits(Z: Floats, costs: Floats, budget: int) -> Indices:
+def splits(Z: Array, costs: Array, budget: int) -> Indices:
     """The cheapest sample of each cell; the fullest cell is split at the median of its longest side.
 
     A learner that splits [Cardoso2017, its reference 11] answers from the samples of one cell. Which these are depends
@@ -194,7 +194,7 @@ class Independence:
     def __init__(self) -> None:
         self._seen, self._kept, self._budget = np.empty((0, 0)), list[int](), 0
 
-    def __call__(self, Z: Floats, costs: Floats, budget: int) -> Indices:
+    def __call__(self, Z: Array, costs: Array, budget: int) -> Indices:
         """The dictionary after all samples."""
         del costs  # Unused.
         if budget != self._budget or not np.array_equal(self._seen, Z[: len(self._seen)]):
@@ -207,7 +207,7 @@ class Independence:
         return np.array(self._kept)
 
     @staticmethod
-    def _least(Z: Floats) -> int:
+    def _least(Z: Array) -> int:
         """Position of the least independent row; the newest of equal ones."""
         K = np.exp(-0.5 * cdist(Z, Z, "sqeuclidean"))
         K.flat[:: len(K) + 1] += NOISE_FLOOR

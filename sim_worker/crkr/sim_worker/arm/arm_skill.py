@@ -8,11 +8,11 @@ from typing import Any, Final, Protocol
 
 import numpy as np
 
-from crkr.protocol import Invalid, TaskSpec
+from crkr.protocol import Array, Invalid, TaskSpec
 from crkr.sim_worker.arm.dynamics import ACCELERATION_LIMITS, SPEED_LIMITS, Arm
 from crkr.sim_worker.primitives.joint_motion import JointLimits, JointTrajectory, spare_time
 from crkr.sim_worker.primitives.stroke import Infeasible, Primitive
-from crkr.sim_worker.skill import Demonstration, Floats, SkillOptions, TrialResult
+from crkr.sim_worker.skill import Demonstration, SkillOptions, TrialResult
 
 __all__ = ["ArmSkill", "RefusedGoal", "choice"]
 
@@ -23,7 +23,7 @@ DRAWS: Final = 20  # situations tried for each demonstration wanted, at most
 class Launcher(Protocol):
     """A distribution of situations."""
 
-    def draw(self, rng: np.random.Generator) -> Floats:
+    def draw(self, rng: np.random.Generator) -> Array:
         """One situation (d,)."""
 
 
@@ -40,7 +40,7 @@ class RefusedGoal(Exception):
         super().__init__(detail)
         self.reason, self.detail, self.clearance = reason, detail, clearance
 
-    def result(self, outcome: Floats | None = None, **info: Any) -> TrialResult:
+    def result(self, outcome: Array | None = None, **info: Any) -> TrialResult:
         """The trial's result, with what can be told of its outcome (q,)."""
         told = {"reason": self.reason, "detail": self.detail, **info}
         return TrialResult(cost=None, success=False, executed=False, outcome=outcome, info=told)
@@ -64,14 +64,14 @@ class ArmSkill(ABC):
         options: SkillOptions,
         launcher: Launcher,
         arm: Arm,
-        home: Floats,
-        aim: Callable[[Floats], tuple[Floats, Floats, float]],
+        home: Array,
+        aim: Callable[[Array], tuple[Array, Array, float]],
     ) -> None:
         self._spec, self._options, self._draws, self._arm = spec, options, launcher, arm
         self._home, self._aim = home, aim
         self._low, self._high = spec.bounds
         self._primitive = Primitive(JointLimits(arm.lower, arm.upper, SPEED_LIMITS, ACCELERATION_LIMITS))
-        self._state: Floats | None = None
+        self._state: Array | None = None
 
     def spec(self) -> TaskSpec:
         """The task specification."""
@@ -82,17 +82,17 @@ class ArmSkill(ABC):
         """The options in force."""
         return self._options
 
-    def reset(self, rng: np.random.Generator) -> Floats:
+    def reset(self, rng: np.random.Generator) -> Array:
         """Draws a situation (d,), which the next `execute` starts from."""
         self.restore(self._draws.draw(rng))
         return self._situation.copy()
 
-    def restore(self, state: Floats) -> None:
+    def restore(self, state: Array) -> None:
         """Puts the situation of a state (d,)."""
         self._state = np.array(state, dtype=np.float64)
 
     @abstractmethod
-    def plan(self, state: Floats) -> tuple[Floats, TrialResult] | None:
+    def plan(self, state: Array) -> tuple[Array, TrialResult] | None:
         """A goal (p,) that succeeds in a state (d,), and its result; None where the planner finds none."""
 
     def demonstrations(self, count: int, rng: np.random.Generator) -> Sequence[Demonstration]:
@@ -109,12 +109,12 @@ class ArmSkill(ABC):
         return found
 
     @property
-    def _situation(self) -> Floats:
+    def _situation(self) -> Array:
         if self._state is None:
             raise Invalid("execute needs a situation; call reset first")
         return self._state
 
-    def _stroke(self, goal: Floats) -> JointTrajectory:
+    def _stroke(self, goal: Array) -> JointTrajectory:
         """The arm's motion to a goal (p,); raises `RefusedGoal` where there is none."""
         try:
             goal = np.asarray(goal, dtype=np.float64)
@@ -127,7 +127,7 @@ class ArmSkill(ABC):
         except Infeasible as error:
             raise RefusedGoal("infeasible", error.message) from error
 
-    def _spare_time(self, goal: Floats) -> float:
+    def _spare_time(self, goal: Array) -> float:
         """Time that the stroke to a goal (p,) could do without [s]; negative where it lacks some."""
         position, speed, time = self._aim(goal)
         return float(np.clip(spare_time(self._primitive.limits, position - self._home, speed, time), *SPARE_TIMES))

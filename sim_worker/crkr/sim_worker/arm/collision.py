@@ -7,13 +7,12 @@ from typing import Any, Final, final
 
 import numpy as np
 import pinocchio
-from numpy.typing import NDArray
 
+from crkr.protocol import Array
 from crkr.sim_worker.arm.dynamics import Arm
 
 __all__ = ["MARGIN", "CollisionCheck", "own_pairs"]
 
-Floats = NDArray[np.float64]
 Pairs = Iterable[tuple[str, str]]
 
 MARGIN: Final = 0.01  # [m]
@@ -62,7 +61,7 @@ class CollisionCheck:
             self._near.deactivateCollisionPair(pair)
         self._touches = bool(touching)
 
-    def clearance(self, positions: Floats) -> tuple[float, int]:
+    def clearance(self, positions: Array) -> tuple[float, int]:
         """Least distance of the pairs `near` [m] over rows of `positions` (n, 6) [rad], and the row of it.
 
         Below `MARGIN` counts as a collision.
@@ -76,7 +75,7 @@ class CollisionCheck:
                 least, where = distance, row
         return least, where
 
-    def first(self, positions: Floats) -> int | None:
+    def first(self, positions: Array) -> int | None:
         """Index of the first row of `positions` (n, 6) [rad] at which a pair of `touching` meets."""
         if not self._touches:
             return None

@@ -8,11 +8,10 @@ from typing import Any, NamedTuple, final
 
 import numpy as np
 import pinocchio
-from numpy.typing import NDArray
+
+from crkr.protocol import Array
 
 __all__ = ["ACCELERATION_LIMITS", "SPEED_LIMITS", "Arm", "ToolPose", "Unreachable"]
-
-Floats = NDArray[np.float64]
 
 # Universal Robots UR10e data sheet: 120 degrees/s for base and shoulder, 180 for the rest.
 SPEED_LIMITS = np.deg2rad([120.0, 120.0, 180.0, 180.0, 180.0, 180.0])
@@ -39,10 +38,10 @@ class ToolPose(NamedTuple):
         spin: (3,) angular velocity [rad/s].
     """
 
-    position: Floats
-    normal: Floats
-    velocity: Floats
-    spin: Floats
+    position: Array
+    normal: Array
+    velocity: Array
+    spin: Array
 
 
 @final
@@ -66,7 +65,7 @@ class Arm:
         self.lower = np.array(self.model.lowerPositionLimit)
         self.upper = np.array(self.model.upperPositionLimit)
 
-    def tool(self, joints: Floats, speeds: Floats | None = None) -> ToolPose:
+    def tool(self, joints: Array, speeds: Array | None = None) -> ToolPose:
         """Pose of the tool, and its velocity for joint `speeds` (6,) [rad/s] (at rest if None)."""
         model, data = self.model, self._data
         if speeds is None:
@@ -80,16 +79,16 @@ class Arm:
         placement = pinocchio.updateFramePlacement(model, data, self._frame)
         return ToolPose(np.array(placement.translation), np.array(placement.rotation[:, 0]), velocity, spin)
 
-    def jacobian(self, joints: Floats) -> Floats:
+    def jacobian(self, joints: Array) -> Array:
         """(6, 6) of the tool's centre: linear velocity over angular velocity, in the scene's frame."""
         aligned = pinocchio.ReferenceFrame.LOCAL_WORLD_ALIGNED
         return np.array(pinocchio.computeFrameJacobian(self.model, self._data, joints, self._frame, aligned))
 
-    def torques(self, joints: Floats, speeds: Floats, accelerations: Floats) -> Floats:
+    def torques(self, joints: Array, speeds: Array, accelerations: Array) -> Array:
         """(6,) inverse dynamics [N m], rotor inertia included."""
         return np.array(pinocchio.rnea(self.model, self._data, joints, speeds, accelerations))
 
-    def reach(self, position: Floats, normal: Floats, posture: Floats) -> Floats:
+    def reach(self, position: Array, normal: Array, posture: Array) -> Array:
         """Joints that put the tool's centre at `position` (3,) [m], its front facing along `normal` (3,).
 
         Damped Gauss-Newton from `posture` (6,), which also settles the one redundant direction, so that nearby
@@ -119,19 +118,19 @@ class Arm:
             raise Unreachable("a joint position limit is crossed")
         return joints
 
-    def speeds_for(self, joints: Floats, velocity: Floats) -> Floats:
+    def speeds_for(self, joints: Array, velocity: Array) -> Array:
         """Smallest joint speeds (6,) [rad/s], relative to the limits, for a `velocity` (3,) of the tool's centre."""
         rows = self.jacobian(joints)[:3] * SPEED_LIMITS
         return np.asarray(SPEED_LIMITS * (rows.T @ np.linalg.solve(rows @ rows.T, velocity)), dtype=np.float64)
 
 
-def _tangents(normal: Floats) -> tuple[Floats, Floats]:
+def _tangents(normal: Array) -> tuple[Array, Array]:
     helper = np.eye(3)[int(np.argmin(np.abs(normal)))]
     first = np.cross(normal, helper)
     first /= np.linalg.norm(first)
     return first, np.cross(normal, first)
 
 
-def _skew(vector: Floats) -> Floats:
+def _skew(vector: Array) -> Array:
     x, y, z = vector
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

@@ -5,13 +5,11 @@ from __future__ import annotations
 from typing import Final, NamedTuple, final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from crkr.protocol import Array
 from crkr.sim_worker.arm.dynamics import Arm
 
 __all__ = ["Chain", "Faces"]
-
-Floats = NDArray[np.float64]
 
 AXES: Final = ("z", "y", "y", "y", "z", "y")  # of the joints, as in scene.xml
 
@@ -26,10 +24,10 @@ class Faces(NamedTuple):
         spin: (b, 3) angular velocities [rad/s].
     """
 
-    position: Floats
-    normal: Floats
-    velocity: Floats
-    spin: Floats
+    position: Array
+    normal: Array
+    velocity: Array
+    spin: Array
 
 
 @final
@@ -42,7 +40,7 @@ class Chain:
         self._links = [np.array(placement.translation) for placement in placements]
         self._tool = np.array(model.frames[model.getFrameId("paddle")].placement.translation)
 
-    def faces(self, joints: Floats, speeds: Floats) -> Faces:
+    def faces(self, joints: Array, speeds: Array) -> Faces:
         """Paddle poses and velocities for joints and speeds (b, 6)."""
         count = len(joints)
         frame = np.broadcast_to(np.eye(3), (count, 3, 3))
@@ -61,7 +59,7 @@ class Chain:
         return Faces(centre, frame[:, :, 0], velocity, spin)
 
 
-def _turned(frame: Floats, axis: str, angle: Floats) -> Floats:
+def _turned(frame: Array, axis: str, angle: Array) -> Array:
     """Frames (b, 3, 3) turned about their own y or z axis."""
     cosine, sine = np.cos(angle)[:, None], np.sin(angle)[:, None]
     x, y, z = frame[:, :, 0], frame[:, :, 1], frame[:, :, 2]

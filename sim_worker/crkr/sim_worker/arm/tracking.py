@@ -5,14 +5,12 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from crkr.protocol import Array
 from crkr.sim_worker.arm.dynamics import Arm
 from crkr.sim_worker.primitives.joint_motion import JointTrajectory
 
 __all__ = ["Gains", "controls"]
-
-Floats = NDArray[np.float64]
 
 
 class Gains(NamedTuple):
@@ -23,8 +21,8 @@ class Gains(NamedTuple):
         damping: (6,) [N m s/rad].
     """
 
-    stiffness: Floats
-    damping: Floats
+    stiffness: Array
+    damping: Array
 
     @classmethod
     def of(cls, model: Any) -> Gains:
@@ -32,13 +30,13 @@ class Gains(NamedTuple):
         return cls(-np.array(model.actuator_biasprm[:, 1]), -np.array(model.actuator_biasprm[:, 2]))
 
 
-def controls(arm: Arm, gains: Gains, swing: JointTrajectory, times: Floats) -> Floats:
+def controls(arm: Arm, gains: Gains, swing: JointTrajectory, times: Array) -> Array:
     """Actuator controls (n, 6) [N m] at `times` (n,) [s] from the swing's start; scene.xml has the control law."""
     position, velocity, _ = swing.sample(times)
     return np.asarray(gains.stiffness * position + gains.damping * velocity + _feed_forward(arm, swing, times))
 
 
-def _feed_forward(arm: Arm, swing: JointTrajectory, times: Floats) -> Floats:
+def _feed_forward(arm: Arm, swing: JointTrajectory, times: Array) -> Array:
     """Inverse dynamics (n, 6), exact at both ends of each interval of constant acceleration and linear within."""
     last = len(swing.time) - 1
     at = np.minimum(np.searchsorted(swing.time, times, side="right") - 1, last - 1)

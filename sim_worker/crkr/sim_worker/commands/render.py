@@ -9,13 +9,14 @@ import typer
 
 from crkr.client.cli.console import stderr
 from crkr.client.cli.options import Connect, Overwrite, Timeout, ZenohConfig
+from crkr.protocol import Array
 
 if TYPE_CHECKING:
     from uuid import UUID
 
     from crkr.client import Task
     from crkr.protocol import Trial
-    from crkr.sim_worker.skill import Floats, Skill
+    from crkr.sim_worker.skill import Skill
 
 __all__ = ["render"]
 
@@ -93,7 +94,7 @@ def render(
     stderr.print(f"{out}: context {context} of seed {seed}, {reason}")
 
 
-def _drawn(player: Skill, seed: int, context: int) -> Floats:
+def _drawn(player: Skill, seed: int, context: int) -> Array:
     """Puts a context of an evaluation, and returns its state."""
     from crkr.sim_worker.randomness import fresh_rng
     from crkr.sim_worker.skill import judged_state
@@ -101,7 +102,7 @@ def _drawn(player: Skill, seed: int, context: int) -> Floats:
     return judged_state(player, context, fresh_rng(seed, context))
 
 
-def _planned(player: Skill, name: str, seed: int, context: int) -> Floats:
+def _planned(player: Skill, name: str, seed: int, context: int) -> Array:
     """The planner's goal for a context of an evaluation, which is put."""
     from crkr.protocol import Invalid
     from crkr.sim_worker.skill import HasPlan

@@ -12,11 +12,11 @@ import numpy as np
 
 from crkr.client import Task
 from crkr.client.tally import Tally, success_by_criterion
-from crkr.protocol import MAX_STATES, Invalid, Prediction, Trial, task_id
+from crkr.protocol import MAX_STATES, Array, Invalid, Prediction, Trial, task_id
 from crkr.sim_worker.evaluation.contexts import COST_OF_NOTHING
 from crkr.sim_worker.guarded_skill import GuardedSkill, guarded_plan
 from crkr.sim_worker.randomness import fresh_rng
-from crkr.sim_worker.skill import Floats, HasPlanner, Skill, SkillOptions, TrialResult, judged_state
+from crkr.sim_worker.skill import HasPlanner, Skill, SkillOptions, TrialResult, judged_state
 from crkr.sim_worker.skill_registry import load_skill
 from crkr.sim_worker.supervisor.pool import spread
 
@@ -93,7 +93,7 @@ def ask(task: Task, skill: Skill, contexts: int, seed: int) -> list[Prediction]:
 def play(
     skill: str,
     options: SkillOptions,
-    goals: Floats,
+    goals: Array,
     seed: int,
     *,
     jobs: int,
@@ -120,7 +120,7 @@ class _Part:
     """Goals (n, p) for the contexts from `start` on."""
 
     start: int
-    goals: Floats
+    goals: Array
     seed: int
     oracle: bool
 

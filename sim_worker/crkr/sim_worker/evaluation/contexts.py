@@ -8,9 +8,9 @@ import numpy as np
 
 from crkr.client import Task
 from crkr.client.tally import Tally, success_by_criterion
-from crkr.protocol import Prediction, Trial, evaluation_id
+from crkr.protocol import Array, Prediction, Trial, evaluation_id
 from crkr.sim_worker.randomness import evaluation_rng
-from crkr.sim_worker.skill import Floats, Skill, TrialResult, judged_state
+from crkr.sim_worker.skill import Skill, TrialResult, judged_state
 
 __all__ = ["COST_OF_NOTHING", "EPOCH", "EpochEvaluation", "FixedContexts"]
 
@@ -34,11 +34,11 @@ class FixedContexts:
     def __init__(self, skill: Skill, seed: int, count: int) -> None:
         self._skill = skill
         self._seed = seed
-        self.states: Floats = np.array(
+        self.states: Array = np.array(
             [judged_state(skill, context, evaluation_rng(seed, context)) for context in range(count)]
         )
 
-    def execute(self, context: int, goal: Floats) -> TrialResult:
+    def execute(self, context: int, goal: Array) -> TrialResult:
         """Tries a goal (p,) in context number `context`."""
         judged_state(self._skill, context, evaluation_rng(self._seed, context))
         return self._skill.execute(goal)
@@ -113,6 +113,6 @@ class EpochEvaluation:
         """How far the context is from the samples, in [0, 1]."""
         return float(self._answer.novelty[context])
 
-    def sigma(self, context: int) -> Floats:
+    def sigma(self, context: int) -> Array:
         """(p,) predictive standard deviations of the goal there."""
         return np.asarray(self._answer.sigmas[context])

@@ -7,10 +7,10 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final, final
 
-from crkr.protocol import Geom, Invalid, StoredTrial, TaskSpec, Trace
+from crkr.protocol import Array, Geom, Invalid, StoredTrial, TaskSpec, Trace
 from crkr.sim_worker.guarded_skill import GuardedSkill
 from crkr.sim_worker.randomness import fresh_rng
-from crkr.sim_worker.skill import Floats, SkillOptions, TrialResult
+from crkr.sim_worker.skill import SkillOptions, TrialResult
 from crkr.sim_worker.skill_registry import load_skill, skill_of
 from crkr.sim_worker.worker.telemetry import thinned
 
@@ -45,7 +45,7 @@ def play_trials(
     given: str | None,
     stored: TaskSpec,
     trials: Sequence[Sequence[StoredTrial]],
-    goals: Callable[[Floats], Floats] | None,
+    goals: Callable[[Array], Array] | None,
 ) -> tuple[Sequence[Geom], list[PlayedTrial]]:
     """Play trials by a skill, and return its scene and the trials; nothing where no skill is known or it has no scene.
 
@@ -97,7 +97,7 @@ def _again(skill: GuardedSkill, trials: Sequence[Sequence[StoredTrial]]) -> Iter
                 break
 
 
-def _fresh(skill: GuardedSkill, goals: Callable[[Floats], Floats]) -> Iterator[PlayedTrial]:
+def _fresh(skill: GuardedSkill, goals: Callable[[Array], Array]) -> Iterator[PlayedTrial]:
     deadline, failed = time.monotonic() + LONGEST_S, False
     for context in range(MOST):
         state = skill.reset(fresh_rng(0, context))

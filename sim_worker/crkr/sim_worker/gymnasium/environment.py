@@ -12,14 +12,12 @@ from typing import Any, Final, final
 import gymnasium
 import numpy as np
 from gymnasium.spaces import Box
-from numpy.typing import NDArray
 
-from crkr.protocol import Invalid
+from crkr.protocol import Array, Invalid
 from crkr.protocol.errors import shown
 
-__all__ = ["Bounds", "Environment", "Floats", "make_environment", "narrowed"]
+__all__ = ["Bounds", "Environment", "make_environment", "narrowed"]
 
-Floats = NDArray[np.float64]
 Bounds = float | tuple[Any, Any]
 """The greatest size of all numbers of a goal; or their (low, high), each a number or (n,)."""
 
@@ -43,10 +41,10 @@ class Environment:
     env: gymnasium.Env[Any, Any]
     name: str
     steps: int
-    low: Floats
-    high: Floats
+    low: Array
+    high: Array
 
-    def act(self, action: Floats) -> tuple[Any, float, bool, Mapping[str, Any]]:
+    def act(self, action: Array) -> tuple[Any, float, bool, Mapping[str, Any]]:
         """One step: the observation, the reward, whether the episode is over, and what the environment tells."""
         space: Any = self.env.action_space
         clipped = np.clip(action, self.low, self.high).reshape(space.shape).astype(space.dtype)
@@ -124,7 +122,7 @@ def _register_robotics() -> None:
     gymnasium.register_envs(gymnasium_robotics)
 
 
-def _action_bounds(space: Box, given: Bounds | None, name: str) -> tuple[Floats, Floats]:
+def _action_bounds(space: Box, given: Bounds | None, name: str) -> tuple[Array, Array]:
     low, high = (np.asarray(side, dtype=np.float64).ravel() for side in (space.low, space.high))
     if not low.size:
         raise Invalid(f"{name} takes actions without numbers: there is nothing to learn")
@@ -138,7 +136,7 @@ def _action_bounds(space: Box, given: Bounds | None, name: str) -> tuple[Floats,
     return low, high
 
 
-def narrowed(low: Floats, high: Floats, given: Bounds | None, name: str) -> tuple[Floats, Floats]:
+def narrowed(low: Array, high: Array, given: Bounds | None, name: str) -> tuple[Array, Array]:
     """The box [low, high] (n,) where it is within `goal_bounds`; raises `Invalid` where nothing is left."""
     if given is None:
         return low, high

@@ -10,16 +10,14 @@ from typing import Any, Final, final
 
 import gymnasium
 import numpy as np
-from numpy.typing import NDArray
 
-from crkr.protocol import Invalid
+from crkr.protocol import Array, Invalid
 from crkr.protocol.errors import shown
 
 __all__ = ["Cost", "Episode", "Judgement", "Measure", "Success", "judge_by"]
 
 logger = logging.getLogger(__name__)
 
-Floats = NDArray[np.float64]
 Measure = Callable[[Any, Mapping[str, Any]], Mapping[str, float]]
 """An outcome: numbers by name, from the unwrapped environment and its last info; 0 is perfect."""
 Success = str | Callable[[Any, Mapping[str, Any]], bool]
@@ -88,7 +86,7 @@ class Judgement:
         pairs = zip(self.names, self.tolerances.tolist(), strict=True)
         return [{"name": name, "tolerance": tolerance, "group": "outcome"} for name, tolerance in pairs]
 
-    def outcome(self, episode: Episode) -> Floats | None:
+    def outcome(self, episode: Episode) -> Array | None:
         """Its numbers (q,)."""
         if self._measure is None:
             return None
@@ -118,7 +116,7 @@ class Judgement:
 
 def judge_by(
     first: Episode,
-    returns: Callable[[], Floats],
+    returns: Callable[[], Array],
     name: str,
     *,
     success: Success | None,
@@ -186,7 +184,7 @@ def _tolerances(
 
 def _success(
     first: Episode,
-    returns: Callable[[], Floats],
+    returns: Callable[[], Array],
     name: str,
     given: Success | None,
     measure: Callable[[Episode], Mapping[str, float]] | None,
@@ -208,7 +206,7 @@ def _success(
 
 
 def _cost(
-    returns: Callable[[], Floats],
+    returns: Callable[[], Array],
     given: Cost | None,
     measure: Callable[[Episode], Mapping[str, float]] | None,
     tolerances: Mapping[str, float],

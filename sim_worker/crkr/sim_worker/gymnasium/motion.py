@@ -6,16 +6,15 @@ from collections.abc import Callable
 from typing import Any, Final, Protocol, final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
+from crkr.protocol import Array
 from crkr.sim_worker.gymnasium.environment import Bounds, Environment, narrowed
 from crkr.sim_worker.primitives import JointLimits, Primitive
 
 __all__ = ["Actions", "JointStroke", "Motion", "ViaPoints", "motion_for"]
 
-Floats = NDArray[np.float64]
-Actions = Callable[[int], Floats]
+Actions = Callable[[int], Array]
 """The action (n,) of a step."""
 
 HIT: Final = 0.6  # of the episode: when the joints arrive
@@ -30,7 +29,7 @@ class Motion(Protocol):
     def axes(self) -> list[dict[str, Any]]:
         """The specification's `goal`."""
 
-    def begin(self, goal: Floats) -> Actions:
+    def begin(self, goal: Array) -> Actions:
         """Plans from the environment's present state; raises `Infeasible` for a goal that cannot be tried."""
 
 
@@ -71,7 +70,7 @@ class ViaPoints:
             for index, (low, high) in box
         ]
 
-    def begin(self, goal: Floats) -> Actions:
+    def begin(self, goal: Array) -> Actions:
         """The actions that pass the points."""
         points = goal.reshape(self._count, -1)
         if self._count == 1:
@@ -119,7 +118,7 @@ class JointStroke:
         ends = zip(self._names, self._box[0].tolist(), self._box[1].tolist(), strict=True)
         return [{"name": name, "unit": "rad", "low": low, "high": high} for name, low, high in ends]
 
-    def begin(self, goal: Floats) -> Actions:
+    def begin(self, goal: Array) -> Actions:
         """Plans the stroke from the joints' present positions."""
         start = np.clip(self._data.qpos[self._position], self._lower, self._upper)
         times = self._dt * np.arange(1, self._steps + 1)
@@ -131,7 +130,7 @@ class JointStroke:
             return lambda step: position[step]
         return lambda step: self._torque(position[step], velocity[step], acceleration[step]) / self._gear
 
-    def _torque(self, position: Floats, velocity: Floats, acceleration: Floats) -> Floats:
+    def _torque(self, position: Array, velocity: Array, acceleration: Array) -> Array:
         """Computed torque (n,) towards the next step's position and velocity."""
         import mujoco
 

@@ -8,13 +8,10 @@ from typing import Any, Final, final
 
 import numpy as np
 from gymnasium import Space, spaces
-from numpy.typing import NDArray
 
-from crkr.protocol import Invalid
+from crkr.protocol import Array, Invalid
 
 __all__ = ["Observation", "rounded_box"]
-
-Floats = NDArray[np.float64]
 
 MOST: Final = 64  # numbers of an observation's entry that has rows and columns; more is taken for an image
 REPEATS: Final = 0.03  # share of an entry's deviation that the entries before it leave unexplained: it adds nothing
@@ -66,12 +63,12 @@ class Observation:
         ]
         return cls(tuple(labels[index] for index in kept), tuple(places[index] for index in kept), tuple(axes))
 
-    def state(self, observation: Any) -> Floats:
+    def state(self, observation: Any) -> Array:
         """The state (d,) of an observation."""
         return np.array([_at(observation, place) for place in self.places])
 
 
-def rounded_box(values: Floats) -> tuple[Floats, Floats]:
+def rounded_box(values: Array) -> tuple[Array, Array]:
     """The least box of (n, d) values with its faces on a coarse grid, so that every machine finds the same."""
     low, high = values.min(axis=0), values.max(axis=0)
     width = np.where(high > low, high - low, 1.0)
@@ -138,7 +135,7 @@ def _at(observation: Any, place: tuple[tuple[str, ...], int]) -> float:
     return float(np.ravel(observation)[index])
 
 
-def _telling(values: Floats) -> list[int]:
+def _telling(values: Array) -> list[int]:
     """Columns that vary and are not nearly a linear function of the columns before them."""
     kept: list[int] = []
     for column in range(values.shape[1]):

@@ -9,8 +9,8 @@ from typing import Any, Final, final
 import gymnasium
 import numpy as np
 
-from crkr.protocol import Geom, Invalid, TaskSpec
-from crkr.sim_worker.gymnasium.environment import Bounds, Environment, Floats, make_environment
+from crkr.protocol import Array, Geom, Invalid, TaskSpec
+from crkr.sim_worker.gymnasium.environment import Bounds, Environment, make_environment
 from crkr.sim_worker.gymnasium.judgement import Cost, Episode, Judgement, Measure, Success, judge_by
 from crkr.sim_worker.gymnasium.motion import Motion, motion_for
 from crkr.sim_worker.gymnasium.mujoco_scene import MujocoScene
@@ -126,7 +126,7 @@ class _Trials:
         low, high = zip(*((axis["low"], axis["high"]) for axis in motion.axes), strict=True)
         self._box = np.array(low), np.array(high)
 
-    def run(self, goal: Floats) -> Episode:
+    def run(self, goal: Array) -> Episode:
         """The episode of a goal (p,) from the present reset on; raises `Infeasible` for one that cannot be tried."""
         actions = self.motion.begin(goal)
         self.scene.clear()
@@ -174,12 +174,12 @@ class GymnasiumSkill:
         """The task's specification."""
         return self._spec
 
-    def reset(self, rng: np.random.Generator) -> Floats:
+    def reset(self, rng: np.random.Generator) -> Array:
         """Resets the environment with a seed drawn from `rng`; the state (d,)."""
         self._seed = int(rng.integers(2**31))
         return self._observation.state(self._reset())
 
-    def execute(self, goal: Floats) -> TrialResult:
+    def execute(self, goal: Array) -> TrialResult:
         """Runs an episode; a second goal starts from the same reset again."""
         if not self._fresh:
             self._reset()

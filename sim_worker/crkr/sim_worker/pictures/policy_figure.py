@@ -8,20 +8,17 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from crkr.protocol import Invalid, Prediction, TaskSpec
+from crkr.protocol import Array, Invalid, Prediction, TaskSpec
 from crkr.sim_worker.figure import new_figure, save_figure
 from crkr.sim_worker.skill import HasPolicyFigure, Skill
 
 __all__ = ["draw_policy", "varied"]
 
-Floats = NDArray[np.float64]
-
 COLUMNS: Final = 4
 
 
-def varied(spec: TaskSpec, name: str, points: int, base: Sequence[float] | None = None) -> tuple[int, Floats]:
+def varied(spec: TaskSpec, name: str, points: int, base: Sequence[float] | None = None) -> tuple[int, Array]:
     """Index of the state's coordinate `name`, and states (points, d) in which only that coordinate varies over its box.
 
     Args:

@@ -9,16 +9,13 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, Final, Self, final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from crkr.protocol import Geom, Trace
+from crkr.protocol import Array, Geom, Trace
 from crkr.sim_worker.pictures.film import Picture
 from crkr.sim_worker.simulation.engine import make_renderer, mujoco
 from crkr.sim_worker.skill import Film
 
 __all__ = ["SceneRenderer"]
-
-Floats = NDArray[np.float64]
 
 GHOST: Final = 0.3  # opacity of what moves at all moments but one
 PATH_RADIUS: Final = 0.007  # [m]
@@ -164,7 +161,7 @@ def _model(shapes: Sequence[Geom], trace: Trace, width: int, height: int) -> Any
     return spec.compile()
 
 
-def _box(trace: Trace) -> tuple[Floats, Floats]:
+def _box(trace: Trace) -> tuple[Array, Array]:
     """Least and greatest coordinates (3,) of all that the trace tells of [m]."""
     points = np.concatenate([trace.positions.reshape(-1, 3), *trace.paths.values()])
     return points.min(axis=0), points.max(axis=0)

@@ -11,14 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crkr.client.tally import success_by_criterion, wilson_interval
-from crkr.protocol import Invalid, StateDimension, StoredTrial, TaskSpec
+from crkr.protocol import Array, Invalid, StateDimension, StoredTrial, TaskSpec
 from crkr.sim_worker.demo.learning_curve import COLOURS
 from crkr.sim_worker.evaluation.run_history import RunHistory
 from crkr.sim_worker.figure import new_figure, save_figure
 
 __all__ = ["Run", "draw_coverage", "draw_learning"]
-
-Floats = NDArray[np.float64]
 
 WINDOW: Final = 50
 POINTS: Final = 400  # of a curve
@@ -41,7 +39,7 @@ class Run:
         self.history = RunHistory(spec)
         self.met: list[dict[str, bool]] = []
         self.costs: list[float] = []
-        self.states: list[Floats] = []
+        self.states: list[Array] = []
         self.success: list[bool] = []
         for stored in trials:
             self.history.add(stored)
@@ -101,7 +99,7 @@ def _ends(count: int, size: int) -> list[int]:
     return list(dict.fromkeys(int(end) for end in np.linspace(first, count, min(POINTS, count - first + 1))))
 
 
-def _rates(marks: list[bool | None], size: int) -> tuple[Floats, Floats, Floats, Floats]:
+def _rates(marks: list[bool | None], size: int) -> tuple[Array, Array, Array, Array]:
     """Ends of windows, and in each the share of true marks with its 95 % interval; None marks do not count."""
     judged = [0, *accumulate(mark is not None for mark in marks)]
     good = [0, *accumulate(mark is True for mark in marks)]
@@ -114,7 +112,7 @@ def _rates(marks: list[bool | None], size: int) -> tuple[Floats, Floats, Floats,
     return ends, rate, low, high
 
 
-def draw_coverage(run: Run, active: Floats, path: Path) -> None:
+def draw_coverage(run: Run, active: Array, path: Path) -> None:
     """Saves where in the space of states trials were, how they ended, and which of them are active.
 
     Args:
@@ -159,7 +157,7 @@ def draw_coverage(run: Run, active: Floats, path: Path) -> None:
     save_figure(figure, path)
 
 
-def _spread(axes: Any, axis: StateDimension, values: Floats, success: NDArray[np.bool_]) -> None:
+def _spread(axes: Any, axis: StateDimension, values: Array, success: NDArray[np.bool_]) -> None:
     """How many trials succeeded and failed along one coordinate, and its usual range."""
     axes.hist([values[success], values[~success]], bins=20, stacked=True, color=[GOOD, BAD])
     for end in (axis.low, axis.high):

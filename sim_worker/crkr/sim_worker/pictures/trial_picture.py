@@ -6,17 +6,14 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from crkr.client.cli.output_file import output_file
-from crkr.protocol import Invalid, Trial
+from crkr.protocol import Array, Invalid, Trial
 from crkr.sim_worker.pictures.film import FILMS, Picture, save_film
 from crkr.sim_worker.pictures.renderer import SceneRenderer
 from crkr.sim_worker.skill import Film, HasFilm, HasScene, Skill, TrialResult
 
 __all__ = ["check_kind", "compared", "render_trial"]
-
-Floats = NDArray[np.float64]
 
 PICTURE_INTERVAL: Final = 0.01  # between points of a path in a picture [s]
 RATE: Final = 25  # frames a second: a GIF, which counts in hundredths of a second, can keep it
@@ -36,7 +33,7 @@ def check_kind(path: Path, *, sequence: bool = False, slow: float = 1.0) -> None
 
 def render_trial(
     skill: Skill,
-    goal: Floats,
+    goal: Array,
     path: Path,
     *,
     width: int = 1280,
@@ -81,7 +78,7 @@ def render_trial(
     return result
 
 
-def _film(skill: Skill, goal: Floats, result: TrialResult, interval: float) -> Film:
+def _film(skill: Skill, goal: Array, result: TrialResult, interval: float) -> Film:
     """The motion: as the skill films it, else that of the trial's trace, at the rate that the trace has."""
     film = skill.film(goal, interval) if isinstance(skill, HasFilm) else None
     if film is None and result.trace is not None:

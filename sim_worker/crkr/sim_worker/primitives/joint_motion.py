@@ -6,14 +6,12 @@ from dataclasses import dataclass
 from typing import final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from crkr.protocol import Array
 from crkr.protocol.checks import finite_array
 from crkr.protocol.errors import Invalid
 
 __all__ = ["JointLimits", "JointTrajectory", "spare_time"]
-
-Floats = NDArray[np.float64]
 
 
 @final
@@ -31,10 +29,10 @@ class JointLimits:
         Invalid: Shapes differ, a value is not finite, a range is empty, or a limit is not positive.
     """
 
-    lower: Floats
-    upper: Floats
-    speed: Floats
-    acceleration: Floats
+    lower: Array
+    upper: Array
+    speed: Array
+    acceleration: Array
 
     def __post_init__(self) -> None:
         lower = finite_array(self.lower, "lower", (None,))
@@ -63,10 +61,10 @@ class JointTrajectory:
         Invalid: Shapes do not fit each other, a value is not finite, or times do not increase.
     """
 
-    time: Floats
-    position: Floats
-    velocity: Floats
-    acceleration: Floats
+    time: Array
+    position: Array
+    velocity: Array
+    acceleration: Array
 
     def __post_init__(self) -> None:
         time = finite_array(self.time, "time", (None,))
@@ -81,7 +79,7 @@ class JointTrajectory:
         if time.size < 2 or (np.diff(time) <= 0).any():
             raise Invalid("time must hold at least two strictly increasing knots", details={"field": "time"})
 
-    def sample(self, times: Floats) -> tuple[Floats, Floats, Floats]:
+    def sample(self, times: Array) -> tuple[Array, Array, Array]:
         """Position, velocity and acceleration at any times.
 
         Before the first knot the joints rest at the first position; from the last knot on they rest at the last one.
@@ -105,7 +103,7 @@ class JointTrajectory:
         return position, start_velocity + elapsed * acceleration, acceleration
 
 
-def spare_time(limits: JointLimits, way: Floats, velocity: Floats, hit_time: float) -> float:
+def spare_time(limits: JointLimits, way: Array, velocity: Array, hit_time: float) -> float:
     """The hit time minus the least time that the slowest joint needs [s]; negative where no stroke is in time.
 
     The fastest way from rest is full acceleration, cruise at the speed limit and full braking. Position limits are

@@ -9,22 +9,20 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from crkr.protocol import Array
 from crkr.protocol.checks import finite_array, number
 from crkr.protocol.errors import Invalid
 
 __all__ = ["demonstrated_profile", "wind_up"]
-
-Floats = NDArray[np.float64]
 
 _SMOOTHING: Final = 1e-6  # weight of squared differences: bridges gaps between samples
 DEPTH: Final = 4.0  # greatest acceleration of a wind-up, in units of the goal's speed over the hit time
 
 
 def demonstrated_profile(
-    time: Floats, position: Floats, hit_time: float, *, intervals: int = 45, hit_interval: int = 25
-) -> Floats:
+    time: Array, position: Array, hit_time: float, *, intervals: int = 45, hit_interval: int = 25
+) -> Array:
     """Least-squares accelerations, constant on each interval, that reproduce a recorded motion [Cardoso2015].
 
     The motion starts at rest with its first sample and is at rest after the last interval. Where the recording ends
@@ -60,12 +58,12 @@ def demonstrated_profile(
     rows = np.vstack([travel, smooth, rest])
     way = position[recorded] - position[0]
     scaled, *_ = np.linalg.lstsq(rows, np.vstack([way, np.zeros((intervals, position.shape[1]))]), rcond=None)
-    profile: Floats = scaled * hit_interval**2
+    profile: Array = scaled * hit_interval**2
     profile.setflags(write=False)
     return profile
 
 
-def wind_up(speeds: Floats, hit_time: float, intervals: int = 45, hit_interval: int = 25) -> Floats:
+def wind_up(speeds: Array, hit_time: float, intervals: int = 45, hit_interval: int = 25) -> Array:
     """Accelerations away from the goal, then towards it: one period of a sine until the hit, zero after it.
 
     Args:

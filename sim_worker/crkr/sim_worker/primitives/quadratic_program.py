@@ -39,12 +39,11 @@ import clarabel
 import numpy as np
 import scipy.linalg
 import scipy.sparse
-from numpy.typing import NDArray
 from scipy.linalg.lapack import dposv
 
-__all__ = ["InteriorPoint", "StrokeProgram", "Unsolved", "hold_limits"]
+from crkr.protocol import Array
 
-Floats = NDArray[np.float64]
+__all__ = ["InteriorPoint", "StrokeProgram", "Unsolved", "hold_limits"]
 
 _log = logging.getLogger(__name__)
 
@@ -82,19 +81,19 @@ class StrokeProgram:
 
         self.intervals = intervals
         self.hit_interval = hit_interval
-        self.hessian: Floats = identity + smoothness * difference.T @ difference
-        self.equalities: Floats = np.vstack([position[hit_interval - 1], velocity[hit_interval - 1], velocity[-1]])
-        self.limited: Floats = np.vstack([identity, velocity, position, polygon])
+        self.hessian: Array = identity + smoothness * difference.T @ difference
+        self.equalities: Array = np.vstack([position[hit_interval - 1], velocity[hit_interval - 1], velocity[-1]])
+        self.limited: Array = np.vstack([identity, velocity, position, polygon])
 
         factor = scipy.linalg.cho_factor(self.hessian)
         towards = scipy.linalg.cho_solve(factor, self.equalities.T)  # H^-1 E^T
-        self.spread: Floats = scipy.linalg.solve(self.equalities @ towards, towards.T, assume_a="pos").T
+        self.spread: Array = scipy.linalg.solve(self.equalities @ towards, towards.T, assume_a="pos").T
         inward = scipy.linalg.cho_solve(factor, self.limited.T)  # H^-1 C^T
-        self.release: Floats = inward - self.spread @ (self.equalities @ inward)
+        self.release: Array = inward - self.spread @ (self.equalities @ inward)
         coupling = self.limited @ self.release
-        self.coupling: Floats = 0.5 * (coupling + coupling.T)
+        self.coupling: Array = 0.5 * (coupling + coupling.T)
 
-    def unlimited(self, demonstrated: Floats, targets: Floats) -> Floats:
+    def unlimited(self, demonstrated: Array, targets: Array) -> Array:
         """The optimum of each of n joints without limits: u = u_d + K (t - E u_d).
 
         Args:
@@ -107,7 +106,7 @@ class StrokeProgram:
         return demonstrated + self.spread @ (targets - self.equalities @ demonstrated)
 
 
-def hold_limits(program: StrokeProgram, free: Floats, lower: Floats, upper: Floats) -> Floats | None:
+def hold_limits(program: StrokeProgram, free: Array, lower: Array, upper: Array) -> Array | None:
     """The optimum of one joint within its limits, or None where the active set does not settle.
 
     Args:
@@ -179,7 +178,7 @@ class InteriorPoint:
         )
         cost = np.zeros((2 * size, 2 * size))
         cost[:size, :size] = difference.T @ program.hessian @ difference
-        self._gradient: Floats = difference.T @ program.hessian  # (N, N): u_d to minus the linear cost of w
+        self._gradient: Array = difference.T @ program.hessian  # (N, N): u_d to minus the linear cost of w
         self._cost = scipy.sparse.csc_matrix(np.triu(cost))
         self._rows = scipy.sparse.csc_matrix(np.vstack([dynamics, targets, limited, -limited]))
         self._fixed = size + 3
@@ -187,9 +186,7 @@ class InteriorPoint:
         self._size = size
         self._solver: Any = None
 
-    def solve(
-        self, demonstrated: Floats, targets: Floats, lower: Floats, upper: Floats, unit: float
-    ) -> Floats | Unsolved:
+    def solve(self, demonstrated: Array, targets: Array, lower: Array, upper: Array, unit: float) -> Array | Unsolved:
         """The optimum of one joint.
 
         Args:
@@ -223,7 +220,7 @@ class InteriorPoint:
             return Unsolved.FAILED
         return np.diff(velocity, prepend=0.0) * unit
 
-    def _call(self, linear: Floats, right: Floats) -> tuple[Any, Any]:
+    def _call(self, linear: Array, right: Array) -> tuple[Any, Any]:
         if self._solver is None:
             # Clarabel scales the cost by its first data; fixed first data make answers independent of history.
             cones = [clarabel.ZeroConeT(self._fixed), clarabel.NonnegativeConeT(2 * self._limits)]

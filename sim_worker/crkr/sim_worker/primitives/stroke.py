@@ -17,14 +17,13 @@ from typing import Final, final
 import numpy as np
 from numpy.typing import NDArray
 
+from crkr.protocol import Array
 from crkr.protocol.checks import finite_array, number
 from crkr.protocol.errors import CrkrError, Invalid
 from crkr.sim_worker.primitives.joint_motion import JointLimits, JointTrajectory
 from crkr.sim_worker.primitives.quadratic_program import InteriorPoint, StrokeProgram, Unsolved, hold_limits
 
 __all__ = ["Infeasible", "JointLimits", "JointTrajectory", "Primitive"]
-
-Floats = NDArray[np.float64]
 
 _ACCURACY: Final = 1e-6  # [rad], [rad/s], [rad/s^2]: how well an accepted stroke meets its equalities and limits
 _SHORTEST: Final = 1e-3  # hit time [s]
@@ -69,7 +68,7 @@ class Primitive:
     def __init__(
         self,
         limits: JointLimits,
-        profile: Floats | None = None,
+        profile: Array | None = None,
         *,
         intervals: int = 45,
         hit_interval: int = 25,
@@ -83,15 +82,13 @@ class Primitive:
         if profile is None:
             profile = np.zeros((intervals, joints))
         self.limits = limits
-        self.profile: Floats = finite_array(profile, "profile", (intervals, joints))
+        self.profile: Array = finite_array(profile, "profile", (intervals, joints))
         self._demonstrated = self.profile / hit_interval**2  # (N, n) u_d
         self._program = StrokeProgram(intervals, hit_interval, smoothness)
         self._interior_point = InteriorPoint(self._program)
         self._shortcuts = shortcuts
 
-    def trajectory(
-        self, start: Floats, goal_position: Floats, goal_velocity: Floats, hit_time: float
-    ) -> JointTrajectory:
+    def trajectory(self, start: Array, goal_position: Array, goal_velocity: Array, hit_time: float) -> JointTrajectory:
         """The stroke that follows the profile best.
 
         Args:
@@ -132,13 +129,13 @@ class Primitive:
             )
         return self._integrate(start, scaled, step)
 
-    def _vector(self, value: Floats, name: str) -> Floats:
+    def _vector(self, value: Array, name: str) -> Array:
         array = np.array(value, dtype=np.float64)
         if array.shape != self.limits.lower.shape:
             raise Invalid(f"{name} must have shape {self.limits.lower.shape}; got {array.shape}")
         return array
 
-    def _refuse_impossible(self, start: Floats, position: Floats, velocity: Floats, hit_time: float) -> None:
+    def _refuse_impossible(self, start: Array, position: Array, velocity: Array, hit_time: float) -> None:
         limits = self.limits
         for name, value in (("start", start), ("goal_position", position), ("goal_velocity", velocity)):
             _refuse(~np.isfinite(value), "not_finite", f"{name} is not finite")
@@ -151,7 +148,7 @@ class Primitive:
         _refuse((position < limits.lower) | (position > limits.upper), "goal_position", outside.format("goal"))
         _refuse(np.abs(velocity) > limits.speed, "goal_velocity", "goal velocity is above the speed limit")
 
-    def _refuse_out_of_reach(self, way: Floats, velocity: Floats, hit_time: float) -> None:
+    def _refuse_out_of_reach(self, way: Array, velocity: Array, hit_time: float) -> None:
         """Refuses what full acceleration, cruise and full braking cannot do: necessary, whatever the profile."""
         acceleration, speed = self.limits.acceleration, self.limits.speed
         follow = hit_time * (self._program.intervals / self._program.hit_interval - 1)
@@ -168,7 +165,7 @@ class Primitive:
                 "goal position cannot be reached with the goal velocity in time",
             )
 
-    def _bounds(self, start: Floats, step: float) -> tuple[Floats, Floats]:
+    def _bounds(self, start: Array, step: float) -> tuple[Array, Array]:
         """Least and greatest values (4N, n) of the limited quantities [rad]."""
         limits, rows = self.limits, self._program.intervals
         acceleration, speed = limits.acceleration * step**2, limits.speed * step
@@ -177,7 +174,7 @@ class Primitive:
         upper = np.repeat(np.vstack([acceleration, speed, above, above]), rows, axis=0)
         return lower, upper
 
-    def _limited(self, joint: int, free: Floats, targets: Floats, lower: Floats, upper: Floats, step: float) -> Floats:
+    def _limited(self, joint: int, free: Array, targets: Array, lower: Array, upper: Array, step: float) -> Array:
         """The optimum (N,) of a joint where a limit binds."""
         if self._shortcuts:
             held = hold_limits(self._program, free, lower, upper)
@@ -194,7 +191,7 @@ class Primitive:
             raise Infeasible("solver", joint, f"the solver's motion misses its goal or limits by more than {_ACCURACY}")
         return solved
 
-    def _accurate(self, scaled: Floats, targets: Floats, lower: Floats, upper: Floats, step: float) -> bool:
+    def _accurate(self, scaled: Array, targets: Array, lower: Array, upper: Array, step: float) -> bool:
         rows = self._program.intervals
         unit = np.repeat([step**2, step, 1.0, 1.0], rows)  # of each limited quantity, to SI
         values = self._program.limited @ scaled
@@ -202,7 +199,7 @@ class Primitive:
         missed = np.abs(self._program.equalities @ scaled - targets) / np.array([1.0, step, step])
         return bool(beyond.max() <= 0.5 * _ACCURACY and missed.max() <= 0.5 * _ACCURACY)
 
-    def _integrate(self, start: Floats, scaled: Floats, step: float) -> JointTrajectory:
+    def _integrate(self, start: Array, scaled: Array, step: float) -> JointTrajectory:
         rows = self._program.intervals
         values = self._program.limited[rows : 3 * rows] @ scaled  # w then p
         rest = np.zeros((1, start.size))

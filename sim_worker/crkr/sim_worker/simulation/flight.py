@@ -10,11 +10,11 @@ from dataclasses import dataclass
 from typing import Any, Final, NamedTuple, final
 
 import numpy as np
-from numpy.typing import NDArray
+
+from crkr.protocol import Array
 
 __all__ = ["GRAVITY", "STEP", "Air", "Ball", "Curl", "drag_of"]
 
-Floats = NDArray[np.float64]
 Curl = tuple[float, float, float] | None
 
 GRAVITY: Final = 9.81  # [m/s^2]
@@ -85,7 +85,7 @@ class Air:
             ball = self.fly(ball, duration / steps, curl)
         return ball
 
-    def path(self, ball: Ball, duration: float, interval: float, curl: Curl = None) -> tuple[Floats, Floats]:
+    def path(self, ball: Ball, duration: float, interval: float, curl: Curl = None) -> tuple[Array, Array]:
         """Times (n,) [s], at most `interval` apart, and positions (n, 3) [m] of a flight, for drawing."""
         count = max(1, int(np.ceil(duration / interval)))
         points = [ball]

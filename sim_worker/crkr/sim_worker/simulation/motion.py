@@ -6,15 +6,12 @@ from dataclasses import dataclass
 from typing import Final, final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from crkr.protocol import Trace
+from crkr.protocol import Array, Trace
 from crkr.sim_worker.primitives.joint_motion import JointTrajectory
 from crkr.sim_worker.simulation.simulation import Simulation
 
 __all__ = ["INTERVAL", "Motion", "interpolated", "trace"]
-
-Floats = NDArray[np.float64]
 
 INTERVAL: Final = 1 / 30  # between two rows, about film rate [s]
 
@@ -30,11 +27,11 @@ class Motion:
         ball: (n, 3) ball positions [m].
     """
 
-    time: Floats
-    joints: Floats
-    ball: Floats
+    time: Array
+    joints: Array
+    ball: Array
 
-    def continued(self, swing: JointTrajectory, flight: tuple[Floats, Floats], end: float) -> Motion:
+    def continued(self, swing: JointTrajectory, flight: tuple[Array, Array], end: float) -> Motion:
         """This motion until `end` [s]; from then on the arm follows its swing, and the ball its `flight`.
 
         Args:
@@ -62,7 +59,7 @@ def trace(simulation: Simulation, moved: Motion) -> Trace:
     return Trace(moved.time, simulation.bodies, positions, quaternions, {"ball": moved.ball})
 
 
-def interpolated(time: Floats, known: Floats, values: Floats) -> Floats:
+def interpolated(time: Array, known: Array, values: Array) -> Array:
     """`values` (n, k) linearly interpolated at `time` (m,)."""
     after = np.clip(np.searchsorted(known, time, side="right"), 1, len(known) - 1)
     part = (time - known[after - 1]) / (known[after] - known[after - 1])

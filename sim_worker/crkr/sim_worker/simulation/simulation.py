@@ -9,14 +9,13 @@ from typing import Any, NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
+from crkr.protocol import Array
 from crkr.sim_worker.arm.tracking import Gains
 from crkr.sim_worker.simulation.engine import Rollout, mujoco
 from crkr.sim_worker.simulation.scene_file import scene_xml
 from crkr.sim_worker.skill import Geom
 
 __all__ = ["BallAlone", "Diverged", "Recording", "Simulation", "check_sound", "load_spec", "rotated"]
-
-Floats = NDArray[np.float64]
 
 JOINTS = 6
 # A full physics state: time, arm and ball positions (6, then 3 + quaternion), arm and ball velocities (6, then 3 + 3).
@@ -55,7 +54,7 @@ class Recording(NamedTuple):
         touching: (n,) whether the ball is in contact with the tool within each step.
     """
 
-    states: Floats
+    states: Array
     touching: NDArray[np.bool_]
 
 
@@ -83,7 +82,7 @@ class Simulation:
         ]
         self.bodies = tuple(str(self.model.body(index).name) for index in self._moving)
 
-    def start(self, joints: Floats, ball: Floats) -> Floats:
+    def start(self, joints: Array, ball: Array) -> Array:
         """Full physics state (26,): arm at rest at `joints` (6,), ball (6,) without spin."""
         state = np.zeros(26)
         state[ARM_POSITION] = joints
@@ -91,7 +90,7 @@ class Simulation:
         state[BALL_ROTATION] = (1.0, 0.0, 0.0, 0.0)
         return state
 
-    def start_held(self, joints: Floats, site: str) -> Floats:
+    def start_held(self, joints: Array, site: str) -> Array:
         """Full physics state (26,): arm at rest at `joints` (6,), the ball at rest in a site of its tool."""
         model, data = self.model, self._data
         mujoco.mj_resetData(model, data)
@@ -101,7 +100,7 @@ class Simulation:
         state[BALL_ROTATION] = data.xquat[model.site(site).bodyid[0]]
         return state
 
-    def place(self, body: str, position: Floats) -> None:
+    def place(self, body: str, position: Array) -> None:
         """Has a body that only stands, a mocap body of the scene, stand at `position` (3,) [m] from now on."""
         place(self.model, self._data, body, position)
 
@@ -109,7 +108,7 @@ class Simulation:
         """Has an equality constraint of the scene hold, or not, in runs from now on."""
         self.model.eq_active0[self.model.equality(constraint).id] = on
 
-    def run(self, start: Floats, controls: Floats) -> Recording:
+    def run(self, start: Array, controls: Array) -> Recording:
         """Simulates n steps.
 
         Args:
@@ -126,7 +125,7 @@ class Simulation:
         check_sound(self._data, states[0, -1])
         return Recording(np.concatenate([start[None], states[0]]), (sensed[0, :, self._touch] > 0).any(axis=1))
 
-    def poses(self, joints: Floats, balls: Floats) -> tuple[Floats, Floats]:
+    def poses(self, joints: Array, balls: Array) -> tuple[Array, Array]:
         """Positions (m, b, 3) and scalar-last rotations (m, b, 4) of `bodies`, for joints (m, 6) and balls (m, 3)."""
         model, data = self.model, self._data
         positions = np.empty((len(joints), len(self._moving), 3))
@@ -189,11 +188,11 @@ class BallAlone:
         self._rollout = Rollout(nthread=0)
         self.timestep = float(self.model.opt.timestep)
 
-    def place(self, body: str, position: Floats) -> None:
+    def place(self, body: str, position: Array) -> None:
         """Has a body that only stands, a mocap body of the scene, stand at `position` (3,) [m] from now on."""
         place(self.model, self._data, body, position)
 
-    def path(self, ball: Floats, duration: float, spin: Floats | None = None) -> Floats:
+    def path(self, ball: Array, duration: float, spin: Array | None = None) -> Array:
         """Position [m], velocity [m/s] and spin [rad/s] (n + 1, 9), scene's frame, every timestep from `ball` (6,) on.
 
         It starts with `spin` (3,), none if None.
@@ -207,13 +206,13 @@ class BallAlone:
         return np.concatenate([full[:, 1:4], full[:, 8:11], turning], axis=1)
 
 
-def place(model: Any, data: Any, body: str, position: Floats) -> None:
+def place(model: Any, data: Any, body: str, position: Array) -> None:
     """Moves a mocap body [m], in what runs start from and in the present data."""
     model.body(body).pos = position
     data.mocap_pos[model.body(body).mocapid[0]] = position
 
 
-def check_sound(data: Any, last: Floats) -> None:
+def check_sound(data: Any, last: Array) -> None:
     """Raises `Diverged` if MuJoCo warned or its last state is not finite."""
     if data.warning.number.any() or not np.isfinite(last).all():
         raised = [mujoco.mjtWarning(i).name for i in np.flatnonzero(data.warning.number)]
@@ -225,12 +224,12 @@ def load_spec(folder: str) -> Any:
     return mujoco.MjSpec.from_string(scene_xml(folder))
 
 
-def _triple(values: Floats) -> tuple[float, float, float]:
+def _triple(values: Array) -> tuple[float, float, float]:
     x, y, z = values.tolist()
     return x, y, z
 
 
-def rotated(quaternions: Floats, vectors: Floats) -> Floats:
+def rotated(quaternions: Array, vectors: Array) -> Array:
     """`vectors` (n, 3) rotated by unit quaternions (n, 4), scalar first."""
     scalar, axis = quaternions[:, :1], quaternions[:, 1:]
     twice = 2 * np.cross(axis, vectors)

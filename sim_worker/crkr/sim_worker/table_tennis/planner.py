@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from typing import Final, Protocol, final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from crkr.protocol import Array
 from crkr.sim_worker.arm.dynamics import SPEED_LIMITS, Arm, Unreachable
 from crkr.sim_worker.table_tennis.ball.constants import (
     AIM,
@@ -22,8 +22,6 @@ from crkr.sim_worker.table_tennis.ball.constants import (
 from crkr.sim_worker.table_tennis.ball.flight import Ball, bounce, flight, fly_to_x
 
 __all__ = ["HOME", "Planner", "Predictor"]
-
-Floats = NDArray[np.float64]
 
 # The hand hangs from a high wrist: fast along x over the whole hitting window and clear of the table. Found by search
 # over the arm's postures at the window's centre; `HOME` is the same posture with the paddle 12 cm further back.
@@ -56,7 +54,7 @@ class Predictor(Protocol):
     def timestep(self) -> float:
         """Between two rows of `path` [s]."""
 
-    def path(self, ball: Floats, duration: float) -> Floats:
+    def path(self, ball: Array, duration: float) -> Array:
         """Position [m], velocity [m/s] and spin [rad/s] (n + 1, 9), table frame, every timestep from `ball` (6,) on."""
 
 
@@ -68,7 +66,7 @@ class Planner:
         self._arm = arm
         self._predictor = predictor
 
-    def goals(self, ball: Floats, aim: tuple[float, float] = AIM, *, early: bool = False) -> Iterator[Floats]:
+    def goals(self, ball: Array, aim: tuple[float, float] = AIM, *, early: bool = False) -> Iterator[Array]:
         """Goals (13,) that return a ball, best first, at most ten; whether a swing can get there is not checked.
 
         Args:
@@ -89,7 +87,7 @@ class Planner:
             except Unreachable:
                 continue
 
-    def _swing(self, meeting: Floats, hit_time: float, duration: float, aim: tuple[float, float]) -> Floats:
+    def _swing(self, meeting: Array, hit_time: float, duration: float, aim: tuple[float, float]) -> Array:
         """The goal (13,) that sends a ball with position, velocity and spin `meeting` (9,) to `aim` in `duration`."""
         leaving = _launch(meeting[:3], np.array([*aim, TABLE_HEIGHT + BALL_RADIUS]), duration)
         normal, speed = _face(meeting[3:6], meeting[6:], leaving)
@@ -100,7 +98,7 @@ class Planner:
         return np.concatenate([joints, speeds, [hit_time]])
 
 
-def _launch(start: Floats, target: Floats, duration: float) -> Floats:
+def _launch(start: Array, target: Array, duration: float) -> Array:
     """Velocity (3,) that carries a ball from `start` to `target` (3,) in `duration`, over the net.
 
     Raises:
@@ -118,7 +116,7 @@ def _launch(start: Floats, target: Floats, duration: float) -> Floats:
     return velocity
 
 
-def _face(incoming: Floats, spin: Floats, leaving: Floats) -> tuple[Floats, float]:
+def _face(incoming: Array, spin: Array, leaving: Array) -> tuple[Array, float]:
     """Normal (3,) and speed along it [m/s] of a paddle that turns `incoming` (3,) with `spin` into `leaving` (3,).
 
     Friction's share of the change depends on the normal; the fixed point settles in a few rounds.
@@ -144,5 +142,5 @@ def _face(incoming: Floats, spin: Floats, leaving: Floats) -> tuple[Floats, floa
     return normal, speed
 
 
-def _ball(position: Floats, velocity: Floats) -> Ball:
+def _ball(position: Array, velocity: Array) -> Ball:
     return Ball(*position.tolist(), *velocity.tolist())

@@ -5,19 +5,17 @@ from __future__ import annotations
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from crkr.protocol import Array
 from crkr.sim_worker.arm.dynamics import Arm
 from crkr.sim_worker.table_tennis.ball.constants import TABLE_HALF_LENGTH, TABLE_HEIGHT
 
 __all__ = ["draw_hits"]
 
-Floats = NDArray[np.float64]
-
 STRIDE: Final = 0.05  # how far an arrow shows the paddle's motion [s]
 
 
-def draw_hits(figure: Any, arm: Arm, label: str, values: Floats, goals: Floats) -> None:
+def draw_hits(figure: Any, arm: Arm, label: str, values: Array, goals: Array) -> None:
     """Draws the paddles of goals (n, 13), from above and from the side, and the times of the hits.
 
     Args:

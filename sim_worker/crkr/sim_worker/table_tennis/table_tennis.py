@@ -8,9 +8,8 @@ from dataclasses import replace
 from typing import Any, Final, final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from crkr.protocol import Geom, Invalid
+from crkr.protocol import Array, Geom, Invalid
 from crkr.sim_worker.arm.arm_skill import ArmSkill, RefusedGoal, choice
 from crkr.sim_worker.arm.collision import MARGIN
 from crkr.sim_worker.primitives.profiles import demonstrated_profile, wind_up
@@ -28,8 +27,6 @@ from crkr.sim_worker.table_tennis.spec import task_spec
 from crkr.sim_worker.table_tennis.tracker import judge, motion
 
 __all__ = ["ENVIRONMENTS", "TableTennis"]
-
-Floats = NDArray[np.float64]
 
 CRITERIA: Final = {"tuned": "strict", "paper": "paper"}  # the success that each preset learns from
 CLEAREST: Final = 0.3  # [m]; what is farther off says no more
@@ -86,7 +83,7 @@ class TableTennis(ArmSkill):
         if profiled:
             self._primitive = Primitive(self._primitive.limits, self._recorded_profile())
 
-    def execute(self, goal: Floats) -> TrialResult:
+    def execute(self, goal: Array) -> TrialResult:
         """Swings at the ball of the last `reset`.
 
         The outcome (7,) is the ball minus the point of the paddle's face at the hit time (3,), the landing point minus
@@ -101,7 +98,7 @@ class TableTennis(ArmSkill):
         """
         return self.attempt(self._situation, goal)
 
-    def attempt(self, ball: Floats, goal: Floats) -> TrialResult:
+    def attempt(self, ball: Array, goal: Array) -> TrialResult:
         """As `execute`, for any ball (6,)."""
         try:
             swing, clearance = self._swing(goal)
@@ -119,7 +116,7 @@ class TableTennis(ArmSkill):
             trace=trace(self._simulation, motion(swing, play, verdict)) if self._traces else None,
         )
 
-    def film(self, goal: Floats, interval: float) -> Film | None:
+    def film(self, goal: Array, interval: float) -> Film | None:
         """The motion of `execute`, in steps of at most `interval` [s], for drawing; None where the goal is refused."""
         try:
             swing, play = self._play(self._situation, goal)
@@ -127,24 +124,24 @@ class TableTennis(ArmSkill):
             return None
         return Film(trace(self._simulation, motion(swing, play, judge(play), interval)), play.hit_time)
 
-    def draw_policy(self, figure: Any, states: Floats, goals: Floats, index: int) -> None:
+    def draw_policy(self, figure: Any, states: Array, goals: Array, index: int) -> None:
         """Draws where and how the paddle of goals (n, 13) would meet the ball as one coordinate of the state varies."""
         from crkr.sim_worker.table_tennis.policy_figure import draw_hits  # workers need no Matplotlib
 
         axis = self._spec.state[index]
         draw_hits(figure, self._arm, f"{axis.name} [{axis.unit}]", states[:, index], goals)
 
-    def plan(self, ball: Floats) -> tuple[Floats, TrialResult] | None:
+    def plan(self, ball: Array) -> tuple[Array, TrialResult] | None:
         """The planner's first goal (13,) that returns `ball` (6,) by the strict criterion, and its result."""
         plans = list(self._plans(ball))
         return plans[-1] if plans and plans[-1][1].info["outcomes"]["strict"] else None
 
-    def best_plan(self, ball: Floats) -> dict[str, bool]:
+    def best_plan(self, ball: Array) -> dict[str, bool]:
         """Whether some plan for `ball` (6,) succeeds, by each criterion."""
         tried = [result.info["outcomes"] for _, result in self._plans(ball, early=True)]
         return {criterion: any(outcomes[criterion] for outcomes in tried) for criterion in CRITERIA.values()}
 
-    def _plans(self, ball: Floats, *, early: bool = False) -> Iterator[tuple[Floats, TrialResult]]:
+    def _plans(self, ball: Array, *, early: bool = False) -> Iterator[tuple[Array, TrialResult]]:
         """The planner's goals for `ball` with their results, up to the first strict success."""
         if self._planner is None:
             self._planner = Planner(self._arm, make_predictor(self._name, magnus=self._magnus))
@@ -154,7 +151,7 @@ class TableTennis(ArmSkill):
             if result.info["outcomes"]["strict"]:
                 return
 
-    def _recorded_profile(self) -> Floats:
+    def _recorded_profile(self) -> Array:
         """The profile (N, 6) of a demonstration with a wind-up at the launcher's central ball, as measured there."""
         ball = np.array(self._launcher.centre)
         plan = self.plan(ball)
@@ -169,7 +166,7 @@ class TableTennis(ArmSkill):
         """Table, net, floor, pedestal, arm, paddle and ball."""
         return self._simulation.geoms()
 
-    def _measured(self, refusal: RefusedGoal, ball: Floats, goal: Floats) -> TrialResult:
+    def _measured(self, refusal: RefusedGoal, ball: Array, goal: Array) -> TrialResult:
         """The result of a refused goal, with what can be told of it: the planned miss, spare time and clearance."""
         outcomes = {"paper": False, "strict": False}
         if refusal.reason in ("invalid", "diverged"):
@@ -187,11 +184,11 @@ class TableTennis(ArmSkill):
         outcome = np.array([*miss, np.nan, np.nan, self._spare_time(goal), min(refusal.clearance, CLEAREST)])
         return refusal.result(outcome, outcomes=outcomes)
 
-    def _play(self, ball: Floats, goal: Floats) -> tuple[JointTrajectory, Play]:
+    def _play(self, ball: Array, goal: Array) -> tuple[JointTrajectory, Play]:
         swing, _ = self._swing(goal)
         return swing, self._executed(ball, swing, float(goal[12]))
 
-    def _swing(self, goal: Floats) -> tuple[JointTrajectory, float]:
+    def _swing(self, goal: Array) -> tuple[JointTrajectory, float]:
         """The swing, and its least distance to the table [m]."""
         swing = self._stroke(goal)
         rows = _between(swing)
@@ -203,7 +200,7 @@ class TableTennis(ArmSkill):
             row = touched
         raise RefusedGoal("collision", f"the arm would touch {self._obstacles} at sample {row} of the swing", clearance)
 
-    def _executed(self, ball: Floats, swing: JointTrajectory, hit_time: float) -> Play:
+    def _executed(self, ball: Array, swing: JointTrajectory, hit_time: float) -> Play:
         try:
             return self._environment.play(ball, swing, hit_time)
         except Diverged as error:
@@ -212,7 +209,7 @@ class TableTennis(ArmSkill):
             raise RefusedGoal("diverged", str(error)) from error
 
 
-def _between(swing: JointTrajectory) -> Floats:
+def _between(swing: JointTrajectory) -> Array:
     """Joint positions at the knots and half-way between them."""
     position, half = swing.position, 0.5 * np.diff(swing.time)[:, None]
     rows = np.empty((2 * len(position) - 1, position.shape[1]))
@@ -221,6 +218,6 @@ def _between(swing: JointTrajectory) -> Floats:
     return rows
 
 
-def _aim(goal: Floats) -> tuple[Floats, Floats, float]:
+def _aim(goal: Array) -> tuple[Array, Array, float]:
     """Joint positions [rad] and velocities [rad/s] at the hit, and its time [s]."""
     return goal[:6], goal[6:12], float(goal[12])

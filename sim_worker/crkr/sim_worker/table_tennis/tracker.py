@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import Final, final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from crkr.protocol import Array
 from crkr.sim_worker.primitives.joint_motion import JointTrajectory
 from crkr.sim_worker.simulation.motion import INTERVAL, Motion, interpolated
 from crkr.sim_worker.table_tennis.ball.constants import (
@@ -24,8 +24,6 @@ from crkr.sim_worker.table_tennis.ball.flight import AIR, Ball, Curl, fly_to_hei
 from crkr.sim_worker.table_tennis.environments.play import Play
 
 __all__ = ["COST_WIDTH", "Verdict", "cost_of", "judge", "motion"]
-
-Floats = NDArray[np.float64]
 
 # The paper sets a^2 = 6 cm, read as 6 cm^2: a ball at the paddle's edge then costs 0.99, as the text wants.
 COST_WIDTH: Final = 6e-4**0.5  # a [m]
@@ -51,7 +49,7 @@ class Verdict:
     paper: bool
     strict: bool
     reason: str
-    outcome: Floats
+    outcome: Array
     landing: tuple[float, Ball] | None
 
 
@@ -68,7 +66,7 @@ def judge(play: Play) -> Verdict:
     return Verdict(cost, strict or own_half, strict, reason, outcome, landing)
 
 
-def cost_of(distance: Floats | float) -> Floats | np.float64:
+def cost_of(distance: Array | float) -> Array | np.float64:
     """Saturating cost in [0, 1] of distances [m]  [Cardoso2017, eq. 8]."""
     return np.negative(np.expm1(-0.5 * (distance / COST_WIDTH) ** 2))
 

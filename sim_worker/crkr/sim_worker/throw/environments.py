@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from typing import Final, Protocol, final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from crkr.protocol import Array
 from crkr.sim_worker.arm import tracking
 from crkr.sim_worker.arm.dynamics import Arm
 from crkr.sim_worker.primitives.joint_motion import JointTrajectory
@@ -32,8 +32,6 @@ from crkr.sim_worker.throw.outcome import Passage
 from crkr.sim_worker.throw.scene import make_ball_alone
 
 __all__ = ["ENVIRONMENTS", "Environment", "Flight", "make_environment"]
-
-Floats = NDArray[np.float64]
 
 ENVIRONMENTS: Final = ("contact", "analytic")
 FOLLOW: Final = 0.04  # how long arm and ball are simulated together after the release [s]
@@ -113,7 +111,7 @@ class ContactEnvironment:
         motion = Motion(np.append(times, times[-1] + step), states[:, ARM_POSITION], states[:, BALL_POSITION])
         return self._ended(layout, swing, motion, freed)
 
-    def _ended(self, layout: Layout, swing: JointTrajectory, motion: Motion, freed: Floats) -> Flight:
+    def _ended(self, layout: Layout, swing: JointTrajectory, motion: Motion, freed: Array) -> Flight:
         """The flight to its end: by formula until the ball comes near what it may touch, then in simulation."""
         ball, time = _ball(freed[-1]), float(motion.time[-1])
         spin = rotated(freed[-1:, BALL_ROTATION], freed[-1:, BALL_SPIN])[0]
@@ -137,7 +135,7 @@ def make_environment(name: str, arm: Arm, simulation: Simulation) -> Environment
     return ContactEnvironment(arm, simulation) if name == "contact" else AnalyticEnvironment(arm)
 
 
-def _inside(layout: Layout, row: Floats) -> bool | None:
+def _inside(layout: Layout, row: Array) -> bool | None:
     """Whether a ball (9,) is in the bin for good; None where that is still open."""
     over = np.abs(row[:2] - layout.bin[:2]).max()
     if over < OPENING:
@@ -145,5 +143,5 @@ def _inside(layout: Layout, row: Floats) -> bool | None:
     return False if over > OPENING + 2 * BALL_RADIUS and row[2] < RIM else None
 
 
-def _ball(state: Floats) -> Ball:
+def _ball(state: Array) -> Ball:
     return Ball(*state[BALL_POSITION].tolist(), *state[BALL_VELOCITY].tolist())

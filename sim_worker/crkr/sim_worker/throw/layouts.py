@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from typing import Final, final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from crkr.protocol import Array
 from crkr.sim_worker.simulation.flight import Air, drag_of
 
 __all__ = [
@@ -27,8 +27,6 @@ __all__ = [
     "Launcher",
     "Layout",
 ]
-
-Floats = NDArray[np.float64]
 
 BALL_RADIUS: Final = 0.0335  # a tennis ball's [m]
 BALL_MASS: Final = 0.058  # [kg]
@@ -60,17 +58,17 @@ class Layout:
     wall_height: float
 
     @classmethod
-    def of(cls, state: Floats) -> Layout:
+    def of(cls, state: Array) -> Layout:
         """That of a state (4,)."""
         return cls(*np.asarray(state, dtype=np.float64).tolist())
 
     @property
-    def wall(self) -> Floats:
+    def wall(self) -> Array:
         """(3,) middle of the wall's top edge [m]."""
         return np.array([self.wall_x, 0.0, self.wall_height])
 
     @property
-    def bin(self) -> Floats:
+    def bin(self) -> Array:
         """(3,) middle of the bin's opening [m]."""
         return np.array([self.bin_x, self.bin_y, RIM])
 
@@ -96,7 +94,7 @@ class Launcher:
     low: tuple[float, ...]
     high: tuple[float, ...]
 
-    def draw(self, rng: np.random.Generator) -> Floats:
+    def draw(self, rng: np.random.Generator) -> Array:
         """A state (4,)."""
         for _ in range(MOST_DRAWS):
             state = rng.uniform(self.low, self.high)

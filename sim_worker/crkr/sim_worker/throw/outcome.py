@@ -6,14 +6,12 @@ from dataclasses import dataclass
 from typing import Final, final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from crkr.protocol import Array
 from crkr.sim_worker.simulation.flight import Ball
 from crkr.sim_worker.throw.layouts import AIR, BALL_RADIUS, OPENING, RIM, WALL_HALF_THICKNESS, Layout
 
 __all__ = ["COST_WIDTH", "Passage", "reason_of"]
-
-Floats = NDArray[np.float64]
 
 # In contact a ball whose middle comes down less than 1 cm inside the rim, or up to 1 cm outside, may go either way.
 CAUGHT: Final = OPENING - 0.01  # [m]
@@ -32,7 +30,7 @@ class Passage:
         landing_time: When it comes down to the rim [s]; None where it never does.
     """
 
-    miss: Floats
+    miss: Array
     clearance: float
     landing_time: float | None
 

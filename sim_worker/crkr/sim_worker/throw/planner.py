@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from typing import Final, final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from crkr.protocol import Array
 from crkr.sim_worker.arm.dynamics import SPEED_LIMITS, Arm
 from crkr.sim_worker.primitives.joint_motion import JointLimits, spare_time
 from crkr.sim_worker.simulation.flight import GRAVITY, Ball
@@ -15,8 +15,6 @@ from crkr.sim_worker.throw.layouts import AIR, Layout
 from crkr.sim_worker.throw.outcome import Passage
 
 __all__ = ["HOME", "POSTURE", "RELEASE", "WRIST", "Planner", "full_goal"]
-
-Floats = NDArray[np.float64]
 
 # Wrist 2 turns the hand into the plane of the throw and stays there, as wrist 3 does.
 WRIST: Final = (-0.5 * np.pi, 0.0)
@@ -37,7 +35,7 @@ FASTEST: Final = 0.97  # of the joints' speed limits
 MOST_PLANS: Final = 10
 
 
-def full_goal(goal: Floats) -> tuple[Floats, Floats, float]:
+def full_goal(goal: Array) -> tuple[Array, Array, float]:
     """Joint positions (6,) [rad] and speeds (6,) [rad/s] at the release of a goal (8,), and its time [s]."""
     still = np.zeros(1)
     return np.concatenate([goal[:4], WRIST]), np.concatenate([still, goal[4:7], still, still]), float(goal[7])
@@ -51,13 +49,13 @@ class Planner:
         self._arm = arm
         self._limits = limits
 
-    def goals(self, layout: Layout) -> Iterator[Floats]:
+    def goals(self, layout: Layout) -> Iterator[Array]:
         """Goals (8,) that throw the ball in, best first, at most ten; whether a swing can do that is not checked."""
         found = [plan for posture in POSTURES for plan in self._plans(layout, posture)]
         found.sort(key=lambda plan: plan[0])
         yield from (goal for _, goal in found[:MOST_PLANS])
 
-    def _plans(self, layout: Layout, posture: Floats) -> Iterator[tuple[float, Floats]]:
+    def _plans(self, layout: Layout, posture: Array) -> Iterator[tuple[float, Array]]:
         """Each plan's greatest joint speed over its limit, and its goal (8,)."""
         aside = self._arm.tool(np.array([0.0, *posture, *WRIST])).position[1]  # of the plane in which the arm throws
         x, y = layout.bin[:2]
@@ -80,12 +78,12 @@ class Planner:
                 speeds = mixed[best] * SPEED_LIMITS[RELEASE]
                 yield float(greatest[best]), np.array([pan, *posture, *speeds, self._time(joints, speeds)])
 
-    def _time(self, joints: Floats, speeds: Floats) -> float:
+    def _time(self, joints: Array, speeds: Array) -> float:
         whole = np.array([0.0, *speeds, 0.0, 0.0])
         return max(SPARE - spare_time(self._limits, joints - HOME, whole, 0.0), SOONEST)
 
 
-def _launch(start: Floats, target: Floats, duration: float) -> Floats:
+def _launch(start: Array, target: Array, duration: float) -> Array:
     """Velocity (3,) that carries a ball from `start` to `target` (3,) in `duration` [s]."""
     velocity = (target - start) / duration + [0.0, 0.0, 0.5 * GRAVITY * duration]
     for _ in range(12):

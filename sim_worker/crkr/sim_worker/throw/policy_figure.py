@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from crkr.protocol import Array
 from crkr.sim_worker.arm.dynamics import Arm
 from crkr.sim_worker.simulation.flight import Ball
 from crkr.sim_worker.throw.layouts import AIR, OPENING, RIM, Layout
@@ -15,14 +15,12 @@ from crkr.sim_worker.throw.planner import full_goal
 
 __all__ = ["draw_throws"]
 
-Floats = NDArray[np.float64]
-
 INTERVAL: Final = 0.02  # [s]
 SPARSE: Final = 5  # wall and bin are drawn for one in so many states, else they cover each other
 WITHOUT_LANDING: Final = 1.0  # how much of a flight is drawn that never comes down to the rim [s]
 
 
-def draw_throws(figure: Any, arm: Arm, label: str, values: Floats, states: Floats, goals: Floats) -> None:
+def draw_throws(figure: Any, arm: Arm, label: str, values: Array, states: Array, goals: Array) -> None:
     """Draws the flights of ideal releases from the side and from above, with each state's wall and bin.
 
     Args:
@@ -59,7 +57,7 @@ def draw_throws(figure: Any, arm: Arm, label: str, values: Floats, states: Float
         axes.grid(alpha=0.3)
 
 
-def _path(arm: Arm, goal: Floats, layout: Layout) -> Floats:
+def _path(arm: Arm, goal: Array, layout: Layout) -> Array:
     """(n, 3) of a ball that leaves the hand ideally, down to the rim."""
     position, speed, _ = full_goal(goal)
     grip = arm.tool(position, speed)

@@ -8,9 +8,8 @@ from dataclasses import replace
 from typing import Any, Final, final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from crkr.protocol import Geom, Trace
+from crkr.protocol import Array, Geom, Trace
 from crkr.sim_worker.arm.arm_skill import ArmSkill, RefusedGoal, choice
 from crkr.sim_worker.arm.collision import MARGIN
 from crkr.sim_worker.primitives.joint_motion import JointTrajectory
@@ -26,8 +25,6 @@ from crkr.sim_worker.throw.scene import make_arm, make_check, make_simulation
 from crkr.sim_worker.throw.spec import task_spec
 
 __all__ = ["Throw"]
-
-Floats = NDArray[np.float64]
 
 PRESETS: Final = ("tuned",)
 
@@ -63,7 +60,7 @@ class Throw(ArmSkill):
         self._planner = Planner(self._arm, self._primitive.limits)
         self._traces = traces and options.traces
 
-    def execute(self, goal: Floats) -> TrialResult:
+    def execute(self, goal: Array) -> TrialResult:
         """Throws in the situation of the last `reset`.
 
         The outcome (4,) is the ball minus the bin's middle where it comes down to the rim (2,) and its height over the
@@ -79,7 +76,7 @@ class Throw(ArmSkill):
         """
         return self.attempt(self._situation, goal)
 
-    def attempt(self, state: Floats, goal: Floats) -> TrialResult:
+    def attempt(self, state: Array, goal: Array) -> TrialResult:
         """As `execute`, for any state (4,)."""
         layout = Layout.of(state)
         try:
@@ -97,7 +94,7 @@ class Throw(ArmSkill):
             trace=self._trace(layout, flight, INTERVAL) if self._traces else None,
         )
 
-    def film(self, goal: Floats, interval: float) -> Film | None:
+    def film(self, goal: Array, interval: float) -> Film | None:
         """The motion of `execute`, in steps of at most `interval` [s], for drawing; None where the goal is refused."""
         layout = Layout.of(self._situation)
         try:
@@ -106,19 +103,19 @@ class Throw(ArmSkill):
         except RefusedGoal:
             return None
 
-    def draw_policy(self, figure: Any, states: Floats, goals: Floats, index: int) -> None:
+    def draw_policy(self, figure: Any, states: Array, goals: Array, index: int) -> None:
         """Draws how goals (n, 8) would throw as one coordinate of the state varies."""
         from crkr.sim_worker.throw.policy_figure import draw_throws  # workers need no Matplotlib
 
         axis = self._spec.state[index]
         draw_throws(figure, self._arm, f"{axis.name} [{axis.unit}]", states[:, index], states, goals)
 
-    def plan(self, state: Floats) -> tuple[Floats, TrialResult] | None:
+    def plan(self, state: Array) -> tuple[Array, TrialResult] | None:
         """The planner's first goal (8,) that succeeds in a state (4,), and its result."""
         tried = ((goal, self.attempt(state, goal)) for goal in self._planner.goals(Layout.of(state)))
         return next(((goal, result) for goal, result in tried if result.success), None)
 
-    def best_plan(self, state: Floats) -> dict[str, bool]:
+    def best_plan(self, state: Array) -> dict[str, bool]:
         """Whether some plan for a state (4,) succeeds."""
         return {"success": self.plan(state) is not None}
 
@@ -126,7 +123,7 @@ class Throw(ArmSkill):
         """Floor, pedestal, arm, gripper, wall, bin and ball."""
         return self._simulation.geoms()
 
-    def _swing(self, goal: Floats) -> JointTrajectory:
+    def _swing(self, goal: Array) -> JointTrajectory:
         swing = self._stroke(goal)
         clearance, row = self._check.clearance(swing.position[::2])
         if clearance < MARGIN:
@@ -134,14 +131,14 @@ class Throw(ArmSkill):
             raise RefusedGoal("collision", detail)
         return swing
 
-    def _thrown(self, layout: Layout, swing: JointTrajectory, goal: Floats) -> Flight:
+    def _thrown(self, layout: Layout, swing: JointTrajectory, goal: Array) -> Flight:
         try:
             return self._environment.throw(layout, swing, float(goal[7]))
         except Diverged as error:
             _log.warning("trial dropped: %s", error)
             raise RefusedGoal("diverged", str(error)) from error
 
-    def _measured(self, refusal: RefusedGoal, layout: Layout, goal: Floats) -> TrialResult:
+    def _measured(self, refusal: RefusedGoal, layout: Layout, goal: Array) -> TrialResult:
         """The result of a refused goal, with what can be told of it: the planned passage and spare time."""
         if refusal.reason in ("invalid", "diverged"):
             return refusal.result()

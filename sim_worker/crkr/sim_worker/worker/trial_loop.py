@@ -12,10 +12,10 @@ from uuid import UUID
 import numpy as np
 
 from crkr.client import Task
-from crkr.protocol import Conflict, Internal, Prediction, Receipt, Trial, pack, training_id
+from crkr.protocol import Array, Conflict, Internal, Prediction, Receipt, Trial, pack, training_id
 from crkr.protocol.info import MAX_INFO_BYTES
 from crkr.sim_worker.randomness import training_rng, unpredictable_seed
-from crkr.sim_worker.skill import Floats, Skill, TrialResult
+from crkr.sim_worker.skill import Skill, TrialResult
 from crkr.sim_worker.worker.supervisor_link import SupervisorLink
 from crkr.sim_worker.worker.telemetry import Telemetry, Timing
 
@@ -148,7 +148,7 @@ class TrialLoop:
             "look at the server's version and at the task's specification"
         )
 
-    def _predict(self, state: Floats, trial_id: UUID) -> Prediction:
+    def _predict(self, state: Array, trial_id: UUID) -> Prediction:
         try:
             return self._task.predict(state, explore=True, trial_ids=[trial_id], worker=self._identity.worker)
         except Internal as error:

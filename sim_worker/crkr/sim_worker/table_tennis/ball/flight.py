@@ -5,35 +5,33 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from crkr.protocol import Array
 from crkr.sim_worker.simulation.flight import STEP, Air, Ball, Curl
 from crkr.sim_worker.table_tennis.ball.constants import DRAG, MAGNUS, SPIN_INERTIA
 
 __all__ = ["AIR", "STEP", "Ball", "Curl", "bounce", "curl_of", "flight", "fly", "fly_to_height", "fly_to_x"]
 
-Floats = NDArray[np.float64]
-
 AIR: Final = Air(DRAG)
 fly, flight, fly_to_height, fly_to_x = AIR.fly, AIR.flight, AIR.fly_to_height, AIR.fly_to_x
 
 
-def curl_of(spin: Floats) -> Curl:
+def curl_of(spin: Array) -> Curl:
     """The lift of a ball with `spin` (3,) [rad/s], as `fly` takes it; spin lasts from one impact to the next."""
     x, y, z = (MAGNUS * spin).tolist()
     return x, y, z
 
 
 def bounce(
-    velocity: Floats,
-    spin: Floats,
-    normal: Floats,
-    surface: Floats,
+    velocity: Array,
+    spin: Array,
+    normal: Array,
+    surface: Array,
     *,
     restitution: float,
     friction: float,
     radius: float,
-) -> tuple[Floats, Floats]:
+) -> tuple[Array, Array]:
     """Impact of a free sphere on a plane of infinite mass, Coulomb friction, sliding or sticking to the end.
 
     Args:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Final, final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from crkr.protocol import Array
 from crkr.sim_worker.simulation.simulation import Diverged
 from crkr.sim_worker.table_tennis.ball.constants import (
     BALL_RADIUS,
@@ -19,8 +19,6 @@ from crkr.sim_worker.table_tennis.ball.constants import (
 from crkr.sim_worker.table_tennis.ball.flight import STEP, Ball, Curl, bounce, curl_of, fly, fly_to_height
 
 __all__ = ["FreeBall", "Incoming"]
-
-Floats = NDArray[np.float64]
 
 FASTEST: Final = 300.0  # [m/s]; from there on drag is stiffer than the integration's steps can follow
 UP: Final = np.array([0.0, 0.0, 1.0])
@@ -43,7 +41,7 @@ class Incoming:
         Diverged: A snapshot that is not finite or faster than `FASTEST`.
     """
 
-    def __init__(self, snapshot: Floats, duration: float, *, magnus: bool = False) -> None:
+    def __init__(self, snapshot: Array, duration: float, *, magnus: bool = False) -> None:
         if not (np.isfinite(snapshot).all() and np.linalg.norm(snapshot[3:]) <= FASTEST):
             raise Diverged(f"no ball flies like this: position and velocity {snapshot.tolist()}")
         self._magnus = magnus
@@ -70,7 +68,7 @@ class Incoming:
         self._balls = states
         self._states = np.array(states)  # (k, 6)
 
-    def positions(self, times: Floats) -> Floats:
+    def positions(self, times: Array) -> Array:
         """Positions (m, 3) [m] at `times` (m,), cubic between integration steps: exact to 1e-7 m."""
         after = np.clip(np.searchsorted(self._times, times, side="right"), 1, len(self._times) - 1)
         begin, end = self._states[after - 1], self._states[after]
@@ -80,13 +78,13 @@ class Incoming:
         slopes = u * (1 - u) ** 2 * begin[:, 3:] - u * u * (1 - u) * end[:, 3:]
         return np.asarray(begin[:, :3] + rise * (end[:, :3] - begin[:, :3]) + span * slopes)
 
-    def at(self, time: float) -> tuple[Ball, Floats]:
+    def at(self, time: float) -> tuple[Ball, Array]:
         """The ball and its spin (3,) [rad/s] at one time."""
         before = max(int(np.searchsorted(self._times, time, side="right")) - 1, 0)
         spin = self._spins[before]
         return fly(self._balls[before], time - float(self._times[before]), self.curl(spin)), spin
 
-    def curl(self, spin: Floats) -> Curl:
+    def curl(self, spin: Array) -> Curl:
         """The lift of this ball while it has `spin` (3,) [rad/s]; None where spin does not lift it."""
         return curl_of(spin) if self._magnus else None
 
@@ -104,7 +102,7 @@ class FreeBall:
     def __init__(self, *, magnus: bool = False) -> None:
         self._magnus = magnus
 
-    def path(self, ball: Floats, duration: float) -> Floats:
+    def path(self, ball: Array, duration: float) -> Array:
         """Position [m], velocity [m/s] and spin [rad/s] (n + 1, 9), table frame, every timestep from `ball` (6,) on."""
         incoming = Incoming(ball, duration, magnus=self._magnus)
         steps = int(np.ceil(duration / self.timestep))
@@ -116,7 +114,7 @@ def _over_table(ball: Ball) -> bool:
     return bool(abs(ball.x) <= TABLE_HALF_LENGTH and abs(ball.y) <= TABLE_HALF_WIDTH)
 
 
-def _off_table(ball: Ball, spin: Floats) -> tuple[Ball, Floats]:
+def _off_table(ball: Ball, spin: Array) -> tuple[Ball, Array]:
     velocity, spin = bounce(
         np.array(ball[3:]),
         spin,

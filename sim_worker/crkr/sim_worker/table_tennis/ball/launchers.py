@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Final, final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from crkr.protocol import Array
 from crkr.sim_worker.table_tennis.ball.constants import (
     BALL_RADIUS,
     NET_TOP,
@@ -22,8 +22,6 @@ from crkr.sim_worker.table_tennis.ball.constants import (
 from crkr.sim_worker.table_tennis.ball.flight import Ball, bounce, fly_to_height, fly_to_x
 
 __all__ = ["LAUNCHERS", "Launcher"]
-
-Floats = NDArray[np.float64]
 
 BOUNCE_HEIGHT = TABLE_HEIGHT + BALL_RADIUS
 # The bounce stays 15 cm from the net and 7 cm from the edges.
@@ -52,7 +50,7 @@ class Launcher:
     centre: tuple[float, ...]
     spread: tuple[float, ...]
 
-    def draw(self, rng: np.random.Generator) -> Floats:
+    def draw(self, rng: np.random.Generator) -> Array:
         """The snapshot (6,) of one ball, position [m] and velocity [m/s]; unfair launches are redrawn."""
         for _ in range(MOST_DRAWS):
             snapshot = snapshot_of(Ball(*rng.uniform(self.low, self.high).tolist()))

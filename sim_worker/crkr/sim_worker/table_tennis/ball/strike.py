@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from crkr.protocol import Array
 from crkr.sim_worker.arm.dynamics import Arm, ToolPose
 from crkr.sim_worker.table_tennis.ball.constants import (
     BALL_RADIUS,
@@ -21,8 +21,6 @@ from crkr.sim_worker.table_tennis.environments.play import Play
 
 __all__ = ["FaceMotion", "meeting", "played", "struck"]
 
-Floats = NDArray[np.float64]
-
 
 class FaceMotion(NamedTuple):
     """The motion of arm and paddle, in rows of successive times.
@@ -35,13 +33,13 @@ class FaceMotion(NamedTuple):
         normals: (n, 3) of its front face.
     """
 
-    times: Floats
-    joints: Floats
-    speeds: Floats
-    centres: Floats
-    normals: Floats
+    times: Array
+    joints: Array
+    speeds: Array
+    centres: Array
+    normals: Array
 
-    def arm_at(self, row: float) -> tuple[Floats, Floats]:
+    def arm_at(self, row: float) -> tuple[Array, Array]:
         """Joints (6,) and speeds (6,) between two rows."""
         first = min(int(row), len(self.times) - 2)
         part = row - first
@@ -85,7 +83,7 @@ def played(arm: Arm, incoming: Incoming, face: FaceMotion, hit_time: float) -> P
     )
 
 
-def meeting(balls: Floats, centres: Floats, normals: Floats) -> float | None:
+def meeting(balls: Array, centres: Array, normals: Array) -> float | None:
     """First row, with its fraction, at which the ball touches the paddle's front face.
 
     Only crossings of the face's plane from the front and within the blade count: hits with the rim or the back do not.
@@ -107,7 +105,7 @@ def meeting(balls: Floats, centres: Floats, normals: Floats) -> float | None:
     return None
 
 
-def struck(ball: Ball, spin: Floats, paddle: ToolPose) -> tuple[Ball, Floats]:
+def struck(ball: Ball, spin: Array, paddle: ToolPose) -> tuple[Ball, Array]:
     """The ball and its spin (3,) [rad/s] just after a rigid impact on the paddle's face."""
     velocity, spin = bounce(
         np.array(ball[3:]),

@@ -13,6 +13,7 @@ from typing import Final, NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
+from crkr.protocol import Array
 from crkr.sim_worker.arm.collision import MARGIN
 from crkr.sim_worker.arm.dynamics import ACCELERATION_LIMITS, SPEED_LIMITS, Arm
 from crkr.sim_worker.arm.forward_kinematics import Chain, Faces
@@ -38,7 +39,6 @@ from crkr.sim_worker.table_tennis.tracker import TOUCH_HEIGHT, cost_of
 
 __all__ = ["AnalyticBatch", "BatchResult"]
 
-Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 PIECES: Final = 6  # integration steps of a flight; 1e-5 m over a second
@@ -59,7 +59,7 @@ class BatchResult(NamedTuple):
     """
 
     executed: Flags
-    cost: Floats
+    cost: Array
     touched: Flags
     paper: Flags
     strict: Flags
@@ -75,7 +75,7 @@ class AnalyticBatch:
         self._accelerations = program.spread  # (N, 3): of the swing, per unit of each target
         self._way = program.limited[2 * INTERVALS : 3 * INTERVALS] @ program.spread  # (N, 3)
 
-    def play(self, balls: Floats, goals: Floats) -> BatchResult:
+    def play(self, balls: Array, goals: Array) -> BatchResult:
         """Executes `goals` (b, 13) against the balls measured as `balls` (b, 6)."""
         joints, speeds, hit_time = goals[:, :6], goals[:, 6:12], goals[:, 12]
         step = (hit_time / HIT_INTERVAL)[:, None]
@@ -96,7 +96,7 @@ class AnalyticBatch:
         paper, strict = _returned(after)
         return BatchResult(executed, cost, touched, touched & paper, touched & strict)
 
-    def _feasible(self, way: Floats, speeds: Floats, hit_time: Floats) -> Flags:
+    def _feasible(self, way: Array, speeds: Array, hit_time: Array) -> Flags:
         """Whether full acceleration, cruise and full braking could do it: necessary, and sufficient if none binds."""
         limit, fastest = ACCELERATION_LIMITS, SPEED_LIMITS
         time = hit_time[:, None]
@@ -108,7 +108,7 @@ class AnalyticBatch:
             fine &= sign * way <= (2 * peak**2 - end**2) / (2 * limit) + peak * cruise
         return np.asarray(fine.all(axis=1))
 
-    def _clear(self, targets: Floats, joints: Floats, speeds: Floats) -> Flags:
+    def _clear(self, targets: Array, joints: Array, speeds: Array) -> Flags:
         """Whether the blade keeps off the table at the hit and at the end of the swing."""
         end = HOME + np.tensordot(self._way[-1, :2], targets, 1)
         clear = np.ones(len(joints), dtype=bool)
@@ -122,8 +122,8 @@ class AnalyticBatch:
         return clear
 
     def _meeting(
-        self, incoming: Ball, faces: Faces, targets: Floats, joints: Floats, speeds: Floats, step: Floats
-    ) -> tuple[Floats, Faces, Flags]:
+        self, incoming: Ball, faces: Faces, targets: Array, joints: Array, speeds: Array, step: Array
+    ) -> tuple[Array, Faces, Flags]:
         """When, relative to the hit time, each ball meets its paddle, the paddle then, and whether it does."""
         scaled = [np.tensordot(self._accelerations[row, :2], targets, 1) for row in (HIT_INTERVAL - 1, HIT_INTERVAL)]
         before, behind = (row / step**2 for row in scaled)  # (b, 6) [rad/s^2]
@@ -143,14 +143,14 @@ class AnalyticBatch:
         return delay, faces, (np.abs(gap) < 2e-3) & (closing > 0) & (aside <= PADDLE_RADIUS)
 
 
-def _gap(ball: Ball, faces: Faces) -> tuple[Floats, Floats]:
+def _gap(ball: Ball, faces: Faces) -> tuple[Array, Array]:
     """Distances (b,) between ball and front face [m], and how fast they close [m/s]."""
     apart = np.stack(ball[:3], axis=1) - faces.position
     closing = np.stack(ball[3:], axis=1) - faces.velocity - np.cross(faces.spin, apart)
     return (apart * faces.normal).sum(axis=1) - FACE_OFFSET, -(closing * faces.normal).sum(axis=1)
 
 
-def _struck(ball: Ball, spin: Floats, faces: Faces) -> Ball:
+def _struck(ball: Ball, spin: Array, faces: Faces) -> Ball:
     at = np.stack(ball[:3], axis=1) - BALL_RADIUS * faces.normal - faces.position
     velocity, _ = bounce(
         np.stack(ball[3:], axis=1),
@@ -164,7 +164,7 @@ def _struck(ball: Ball, spin: Floats, faces: Faces) -> Ball:
     return Ball(*ball[:3], *velocity.T)
 
 
-def _incoming(balls: Floats, until: Floats) -> tuple[Ball, Floats]:
+def _incoming(balls: Array, until: Array) -> tuple[Ball, Array]:
     """The balls at times `until` (b,) [s] and their spins (b, 3), after at most one bounce on the table."""
     start = Ball(*balls.T)
     time, landed = _fall(start, TOUCH_HEIGHT)
@@ -193,7 +193,7 @@ def _returned(ball: Ball) -> tuple[Flags, Flags]:
     return strict | (away & on_table & (landed.x < 0) & (landed.vx > 0)), strict
 
 
-def _fall(ball: Ball, height: float) -> tuple[Floats, Ball]:
+def _fall(ball: Ball, height: float) -> tuple[Array, Ball]:
     """Times [s] and states at which balls come down through `height`: the parabola's time, then Newton's method."""
     root = np.sqrt(np.maximum(ball.vz**2 + 2 * GRAVITY * (ball.z - height), 0.0))
     time = np.maximum((ball.vz + root) / GRAVITY, 0.0)
@@ -204,7 +204,7 @@ def _fall(ball: Ball, height: float) -> tuple[Floats, Ball]:
     return time, landed
 
 
-def _glide(ball: Ball, duration: Floats) -> Ball:
+def _glide(ball: Ball, duration: Array) -> Ball:
     for _ in range(PIECES):
         ball = fly(ball, duration / PIECES)
     return ball

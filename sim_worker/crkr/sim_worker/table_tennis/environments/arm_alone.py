@@ -5,16 +5,14 @@ from __future__ import annotations
 from typing import Any, Final, NamedTuple, final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from crkr.protocol import Array
 from crkr.sim_worker.arm.tracking import Gains
 from crkr.sim_worker.simulation.engine import Rollout, mujoco
 from crkr.sim_worker.simulation.simulation import check_sound
 from crkr.sim_worker.table_tennis.scene import load_scene
 
 __all__ = ["ArmAlone", "ArmRecording"]
-
-Floats = NDArray[np.float64]
 
 
 class ArmRecording(NamedTuple):
@@ -27,10 +25,10 @@ class ArmRecording(NamedTuple):
         normals: (n + 1, 3) of its front face.
     """
 
-    joints: Floats
-    speeds: Floats
-    centres: Floats
-    normals: Floats
+    joints: Array
+    speeds: Array
+    centres: Array
+    normals: Array
 
 
 @final
@@ -53,7 +51,7 @@ class ArmAlone:
         self._warmstart = np.zeros((1, self._model.nv))
         self.gains = Gains.of(self._model)
 
-    def run(self, joints: Floats, controls: Floats) -> ArmRecording:
+    def run(self, joints: Array, controls: Array) -> ArmRecording:
         """Simulates n steps from rest at `joints` (6,) under `controls` (n, 6) [N m].
 
         The pose of the paddle in a row is that of the joints in the same row.

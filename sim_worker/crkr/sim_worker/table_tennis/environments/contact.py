@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from crkr.protocol import Array
 from crkr.sim_worker.arm import tracking
 from crkr.sim_worker.arm.dynamics import Arm
 from crkr.sim_worker.primitives.joint_motion import JointTrajectory
@@ -25,8 +25,6 @@ from crkr.sim_worker.table_tennis.ball.flight import Ball, Curl, curl_of, flight
 from crkr.sim_worker.table_tennis.environments.play import FOLLOW, Play
 
 __all__ = ["ContactEnvironment"]
-
-Floats = NDArray[np.float64]
 
 PARTING = 0.02  # added while ball and paddle are still in contact [s]
 MOST_PARTINGS = 5
@@ -47,7 +45,7 @@ class ContactEnvironment:
         self._simulation = simulation
         self._magnus = magnus
 
-    def play(self, ball: Floats, swing: JointTrajectory, hit_time: float) -> Play:
+    def play(self, ball: Array, swing: JointTrajectory, hit_time: float) -> Play:
         """Executes `swing` against the ball measured as `ball` (6,) at time 0.
 
         Raises:
@@ -95,11 +93,11 @@ class ContactEnvironment:
             curl=self._curl(states[-1]),
         )
 
-    def _curl(self, state: Floats) -> Curl:
+    def _curl(self, state: Array) -> Curl:
         if not self._magnus:
             return None
         return curl_of(rotated(state[None, BALL_ROTATION], state[None, BALL_SPIN])[0])
 
 
-def _ball(state: Floats) -> Ball:
+def _ball(state: Array) -> Ball:
     return Ball(*state[BALL_POSITION].tolist(), *state[BALL_VELOCITY].tolist())

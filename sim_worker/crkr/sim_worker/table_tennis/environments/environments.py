@@ -12,8 +12,8 @@ from __future__ import annotations
 from typing import Final, final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from crkr.protocol import Array
 from crkr.sim_worker.arm import tracking
 from crkr.sim_worker.arm.dynamics import Arm
 from crkr.sim_worker.primitives.joint_motion import JointTrajectory
@@ -27,8 +27,6 @@ from crkr.sim_worker.table_tennis.planner import Predictor
 from crkr.sim_worker.table_tennis.scene import make_ball_alone
 
 __all__ = ["ENVIRONMENTS", "AnalyticEnvironment", "HybridEnvironment", "make_environment", "make_predictor"]
-
-Floats = NDArray[np.float64]
 
 ENVIRONMENTS: Final = ("contact", "hybrid", "analytic")
 INTERVAL: Final = 0.004  # between two paddle poses of the analytic environment [s]
@@ -49,7 +47,7 @@ class HybridEnvironment:
         self._alone = alone
         self._magnus = magnus
 
-    def play(self, ball: Floats, swing: JointTrajectory, hit_time: float) -> Play:
+    def play(self, ball: Array, swing: JointTrajectory, hit_time: float) -> Play:
         """Executes `swing` against the ball measured as `ball` (6,) at time 0.
 
         Raises:
@@ -76,7 +74,7 @@ class AnalyticEnvironment:
         self._arm = arm
         self._magnus = magnus
 
-    def play(self, ball: Floats, swing: JointTrajectory, hit_time: float) -> Play:
+    def play(self, ball: Array, swing: JointTrajectory, hit_time: float) -> Play:
         """Executes `swing` against the ball measured as `ball` (6,) at time 0.
 
         Raises:

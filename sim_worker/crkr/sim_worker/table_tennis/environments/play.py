@@ -5,16 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final, Protocol, final
 
-import numpy as np
-from numpy.typing import NDArray
-
+from crkr.protocol import Array
 from crkr.sim_worker.arm.dynamics import ToolPose
 from crkr.sim_worker.primitives.joint_motion import JointTrajectory
 from crkr.sim_worker.table_tennis.ball.flight import Ball, Curl
 
 __all__ = ["FOLLOW", "Environment", "Play"]
-
-Floats = NDArray[np.float64]
 
 FOLLOW: Final = 0.12  # how long the swing is followed after the hit time [s]; from then on the ball only flies
 
@@ -40,19 +36,19 @@ class Play:
 
     hit_time: float
     ball: Ball
-    untouched: Floats
+    untouched: Array
     paddle: ToolPose
     touched: bool
     end: float
     after: Ball
-    time: Floats
-    joints: Floats
-    path: Floats
+    time: Array
+    joints: Array
+    path: Array
     curl: Curl = None
 
 
 class Environment(Protocol):
     """A way to execute swings."""
 
-    def play(self, ball: Floats, swing: JointTrajectory, hit_time: float) -> Play:
+    def play(self, ball: Array, swing: JointTrajectory, hit_time: float) -> Play:
         """Executes `swing` against the ball that was `ball` (6,) at time 0; raises `Diverged` if that fails."""

@@ -62,11 +62,7 @@ def plain(value: Any, depth: int = MAX_DEPTH) -> Any:
 
 @final
 class GoalCheck:
-    """Checks that a task can have the goals of an answer.
-
-    Attributes:
-        spec: The task's specification.
-    """
+    """Checks that a task can have the goals of an answer."""
 
     def __init__(self, spec: TaskSpec) -> None:
         self.spec = spec

@@ -33,12 +33,7 @@ _PAGE: Final = 1000  # tasks
 
 @final
 class Rpc:
-    """Calls with a default deadline over a transport.
-
-    Attributes:
-        transport: Carries the messages.
-        timeout_s: Deadline of a call that names none [s].
-    """
+    """Calls with a default deadline over a transport."""
 
     def __init__(self, transport: Transport, timeout_s: float) -> None:
         self.transport: Final = transport

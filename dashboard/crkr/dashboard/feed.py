@@ -67,10 +67,6 @@ class _LoggedTrial:
 class Feed:
     """Updates and publications, as calls of a view.
 
-    Args:
-        view: The display.
-        progress: What counts the run; a new one unless given.
-
     Attributes:
         progress: The run so far.
         skipped: Publications and answers that could not be read or shown.

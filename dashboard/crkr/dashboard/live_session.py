@@ -23,15 +23,7 @@ MAX_BURST: Final = 200  # publications between two looks at the clock
 
 @final
 class LiveSession:
-    """A task at a server.
-
-    Args:
-        client: To ask with.
-        task: The task's name.
-        patience_s: Longest wait for server and task [s].
-        stop: When to end.
-        say: Called with a line about what is waited for.
-    """
+    """A task at a server."""
 
     replayed: Final = False
 

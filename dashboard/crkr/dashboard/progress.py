@@ -89,11 +89,7 @@ class EpochResult:
 
 @final
 class Window:
-    """Costs, outcomes and reasons of the newest `size` trials; the time to add one does not grow.
-
-    Attributes:
-        reasons: How often each reason occurs.
-    """
+    """Costs, outcomes and reasons of the newest `size` trials; the time to add one does not grow."""
 
     def __init__(self, size: int) -> None:
         self._entries: deque[tuple[float | None, Mapping[str, bool], str]] = deque()

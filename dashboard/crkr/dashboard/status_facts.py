@@ -105,12 +105,7 @@ def latency_ms(status: Mapping[str, Any]) -> dict[str, tuple[float, float]]:
 
 
 def server_time(status: Mapping[str, Any], age_s: float) -> float:
-    """The present time by the server's clock [unix s]; by this machine's where an older server does not tell.
-
-    Args:
-        status: The server's answer.
-        age_s: Its age [s].
-    """
+    """The present time by the server's clock [unix s]; by this machine's where an older server does not tell."""
     told = status.get("time")
     return float(told) + age_s if isinstance(told, int | float) else time.time()
 

@@ -102,11 +102,6 @@ def replay(
 class StoredSession:
     """A task in a data directory, which is opened at once: an error comes before anything is shown.
 
-    Args:
-        data: The data directory, or a database by its URL.
-        task: The task's name.
-        stop: When to end.
-
     Raises:
         CrkrError: As `open_run`.
     """

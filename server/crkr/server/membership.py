@@ -46,10 +46,6 @@ _MOST_UNKNOWN: Final = 256  # requests for unknown tasks that wait for a look at
 class Membership:
     """Takes tasks and hands them over on a thread of its own, and keeps the lease.
 
-    Args:
-        log: The server's.
-        lost: Told why this server may not serve any more.
-
     Attributes:
         zenoh_id: The id that the server's session must have, by which clients and servers know it.
         described: Gives what other servers say of tasks, by their names.

@@ -100,12 +100,6 @@ class ServerSettings:
 class Server:
     """A running service; a context manager.
 
-    Args:
-        settings: How it runs.
-        log: Its log, which it closes.
-        tasks: The log's tasks, restored.
-        membership: The server's part in a log that several serve.
-
     Attributes:
         tasks: The tasks in service.
         sources: Where its metrics are read from.

@@ -36,13 +36,7 @@ _PORT: Final = re.compile(r":(\d+)(?:[?#]|$)")  # of an endpoint
 
 @final
 class SessionRenewal:
-    """A thread that calls `renew` when panics go on, or a probe finds the session broken.
-
-    Args:
-        renew: Opens the session anew.
-        is_broken: Whether the present session is broken.
-        give_up: Ends the process, if renewal does not help.
-    """
+    """A thread that calls `renew` when panics go on, or a probe finds the session broken."""
 
     def __init__(self, renew: Callable[[], None], is_broken: Callable[[], bool], give_up: Callable[[], None]) -> None:
         self._renew, self._is_broken, self._give_up = renew, is_broken, give_up

@@ -23,11 +23,7 @@ _MOST: Final = 1000  # waiting lines; more are lost
 
 @final
 class StderrLog:
-    """Writes all log records from now on.
-
-    Args:
-        level: The lowest level written.
-    """
+    """Writes all log records from now on."""
 
     def __init__(self, level: int) -> None:
         self._waiting: queue.Queue[str | threading.Event] = queue.Queue(_MOST)

@@ -22,10 +22,6 @@ def check_input(path: Path) -> None:
 def check_output(path: Path, *, overwrite: bool) -> None:
     """Checks, before the work is done, whether a file can and may be written.
 
-    Args:
-        path: The file.
-        overwrite: Whether an existing file may be replaced.
-
     Raises:
         Invalid: The file exists and may not be replaced, it is not an ordinary file, its folder does not exist, or this
             process may not write there.

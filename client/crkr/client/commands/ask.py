@@ -55,12 +55,7 @@ class _SessionEnded(Exception):
 
 @final
 class _Session:
-    """Trials of one person, one after the other.
-
-    Attributes:
-        hits: How many hit.
-        tried: How many were tried.
-    """
+    """Trials of one person, one after the other."""
 
     def __init__(self, task: Task, state: Sequence[float] | None, *, explore: bool) -> None:
         self.hits = self.tried = 0

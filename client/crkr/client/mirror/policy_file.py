@@ -34,11 +34,6 @@ def save_policy(task: _PolicySource, path: Path, *, overwrite: bool = False) -> 
     clipped to low and high, where k = signal_variance exp(-|z - samples|^2 / 2) + linear_weight z samples^T.
     Exploration and outcomes are not in the file.
 
-    Args:
-        task: A task.
-        path: A new file.
-        overwrite: Replace an existing file.
-
     Raises:
         NoSamples: Nothing was learned yet.
         Invalid: The file exists, or cannot be written there.

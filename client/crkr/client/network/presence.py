@@ -34,9 +34,6 @@ class Presence(Closing):
     """Holds the token from `announce` to `close`, or until the client is closed.
 
     Zenoh declares it again after a reconnect.
-
-    Attributes:
-        worker_id: The worker's id.
     """
 
     def __init__(self, worker_id: str, token: zenoh.LivelinessToken, session: zenoh.Session, left_key: str) -> None:

@@ -95,9 +95,6 @@ class Session:
     def open(self, deadline: float) -> zenoh.Session:
         """The open session.
 
-        Args:
-            deadline: When to stop trying [s, monotonic clock].
-
         Raises:
             NotConnected: No router answers at the endpoint yet.
             Unavailable: The client was closed, belongs to another process, or does not agree with the server about

@@ -63,11 +63,7 @@ class _Unanswered(Exception):
 
 @final
 class ZenohTransport(Closing):
-    """Queries and publications over one session; safe to use from many threads.
-
-    Attributes:
-        session: The Zenoh session.
-    """
+    """Queries and publications over one session; safe to use from many threads."""
 
     def __init__(self, connection: Connection) -> None:
         self.session: Final = Session(connection)

@@ -66,10 +66,6 @@ class Refused(NamedTuple):
 class OutboxFile:
     """Trials to be sent; threads may share it, forked processes may not.
 
-    Args:
-        path: Made where it is not there.
-        task: The task's name.
-
     Raises:
         StorageError: It cannot be opened, is not an outbox, or is open already.
         Conflict: It belongs to another task.

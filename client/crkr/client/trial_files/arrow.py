@@ -28,13 +28,7 @@ _PLACE: Final = re.compile(r"(?:In CSV column #(\d+): )?(?:.*?)Row #(\d+): (.*)"
 
 @final
 class ArrowSink:
-    """Writes each batch at once, so that a long task needs no memory.
-
-    Args:
-        file: The file.
-        layout: The columns.
-        kind: ".parquet" or ".csv".
-    """
+    """Writes each batch at once, so that a long task needs no memory."""
 
     def __init__(self, file: IO[bytes], layout: Layout, kind: str) -> None:
         self._schema = pa.schema([(name, _TYPES[type_]) for name, type_ in layout.types.items()])

@@ -70,13 +70,7 @@ class NpzSink:
 
 @final
 class _Member:
-    """An array of an archive, read from its beginning.
-
-    Attributes:
-        name: Without ".npy".
-        shape: Its shape, checked against the number of bytes.
-        dtype: The type of its entries.
-    """
+    """An array of an archive, read from its beginning."""
 
     def __init__(self, archive: zipfile.ZipFile, name: str) -> None:
         self.name: Final = name

@@ -43,15 +43,7 @@ def nice_ticks(low: float, high: float, most: int = 5) -> list[float]:
 @final
 @dataclass(frozen=True, slots=True)
 class Axes:
-    """Where numbers are on a chart.
-
-    Attributes:
-        width: Of the whole chart.
-        height: Of the whole chart.
-        x: Lowest and highest abscissa.
-        y: Lowest and highest ordinate.
-        left: Room for the numbers beside the chart.
-    """
+    """Where numbers are on a chart."""
 
     width: float
     height: float

@@ -49,9 +49,6 @@ class Curve:
 class Spans:
     """Counts over spans of equal length, at most `SPANS` of them.
 
-    Args:
-        columns: What is counted.
-
     Attributes:
         width: Trials of a span now.
     """
@@ -89,11 +86,7 @@ class Spans:
 
 @final
 class Newest:
-    """The newest training trials, one by one.
-
-    Args:
-        spec: Of the task.
-    """
+    """The newest training trials, one by one."""
 
     def __init__(self, spec: TaskSpec) -> None:
         self._states = np.zeros((KEPT, len(spec.state)))
@@ -131,9 +124,6 @@ class Newest:
 @final
 class Figures:
     """What a page shows of a run.
-
-    Args:
-        spec: Of the task.
 
     Attributes:
         spec: Of the task.

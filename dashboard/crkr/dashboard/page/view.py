@@ -26,11 +26,6 @@ LOST_S: Final = 4.0  # since the server answered
 class PageView:
     """A run as the sections of a page; implements `View`.
 
-    Args:
-        spec: Of the task.
-        progress: What numbers its trials.
-        live: Whether the page follows the run.
-
     Attributes:
         figures: What is shown of the trials.
         film: The best and the worst of those that came with a motion.

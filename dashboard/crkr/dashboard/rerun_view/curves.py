@@ -26,10 +26,6 @@ MAX_PHASES: Final = 16  # names of durations
 class Curves:
     """Numbers that are collected, and sent together for each entity.
 
-    Args:
-        recording: Where to.
-        say: Called with a line about what is not drawn.
-
     Attributes:
         waiting: Count of numbers not yet sent.
     """

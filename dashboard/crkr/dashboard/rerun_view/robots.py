@@ -61,12 +61,7 @@ class _World:
 
 @final
 class Robots:
-    """The 3D view of what the workers publish.
-
-    Args:
-        recording: Where to.
-        say: Called with a line about what is not drawn.
-    """
+    """The 3D view of what the workers publish."""
 
     def __init__(self, recording: Recording, say: Callable[[str], object]) -> None:
         self._recording = recording

@@ -49,12 +49,7 @@ class PageBytes:
 
 @final
 class FollowedTask:
-    """A task's page as it is now. All that is slow happens on a thread of its own: readers get bytes.
-
-    Args:
-        connect: Makes a client.
-        spec: Of the task.
-    """
+    """A task's page as it is now. All that is slow happens on a thread of its own: readers get bytes."""
 
     def __init__(self, connect: Callable[[], Client], spec: TaskSpec) -> None:
         self._connect = connect

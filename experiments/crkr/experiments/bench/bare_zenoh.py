@@ -32,12 +32,7 @@ _CONNECT_S: Final = 5.0
 
 @final
 class BareQuerier:
-    """One Zenoh session with one querier; a context manager.
-
-    Args:
-        endpoint: Of the server.
-        key: What is asked.
-    """
+    """One Zenoh session with one querier; a context manager."""
 
     def __init__(self, endpoint: str, key: str) -> None:
         self._session = zenoh.open(Connection(endpoint).zenoh(_CONNECT_S))

@@ -35,13 +35,7 @@ CAPTURED: Final = 100
 
 
 def measure(directory: Path, skill: str, workers: int) -> Iterator[Measurement]:
-    """All figures.
-
-    Args:
-        directory: Empty; for everything that is written.
-        skill: What the workers try.
-        workers: How many.
-    """
+    """All figures."""
     with running_server(directory / "data") as client:
         yield from _beside_workers(client, directory, skill, workers)
         yield from _beside_stream(client, directory)

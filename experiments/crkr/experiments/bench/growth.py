@@ -34,13 +34,7 @@ _GROUP: Final = 64  # trials that a server learns together
 
 
 def measure(directory: Path, parts: tuple[str, ...], polls: int = scale.POLLS) -> Iterator[Measurement]:
-    """The figures of some parts, in turn.
-
-    Args:
-        directory: Empty; for the servers' data.
-        parts: Some of `PARTS`.
-        polls: Looks at the count in a round.
-    """
+    """The figures of some parts, in turn."""
     accelerate()
     made: Mapping[str, Callable[[], Iterator[Measurement]]] = {
         "insert": _inserts,

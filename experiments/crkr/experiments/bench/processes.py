@@ -37,13 +37,7 @@ def free_endpoint() -> str:
 
 @final
 class Child:
-    """A running child process.
-
-    Args:
-        name: For messages, e.g. "crkr server".
-        process: The process.
-        errors: File of its standard error.
-    """
+    """A running child process."""
 
     def __init__(self, name: str, process: subprocess.Popen[str], errors: Path) -> None:
         self._name = name

@@ -38,12 +38,7 @@ _START_S: Final = 120.0  # of workers; a place of Ray takes ten seconds
 
 
 def measure_tasks(directory: Path, count: int) -> Iterator[Measurement]:
-    """All figures.
-
-    Args:
-        directory: Empty; for the servers' data.
-        count: Tasks of the larger server.
-    """
+    """All figures."""
     many = directory / "many"
     with ExitStack() as stack:
         one = stack.enter_context(running_server(directory / "one"))

@@ -35,14 +35,7 @@ class _Spaces(gymnasium.Env[Any, Any]):
 
 @final
 class OneStepEpisodes:
-    """An off-policy algorithm; the reward is the cost below zero, and every step is an episode's last.
-
-    Args:
-        spec: The task.
-        seed: Of networks and exploration.
-        algorithm: SAC or TD3.
-        options: Of the algorithm.
-    """
+    """An off-policy algorithm; the reward is the cost below zero, and every step is an episode's last."""
 
     def __init__(self, spec: TaskSpec, seed: int, algorithm: type[OffPolicyAlgorithm], **options: Any) -> None:
         torch.set_num_threads(1)

@@ -34,13 +34,7 @@ class Optimiser(Protocol):
 
 @final
 class FixedContexts:
-    """The context is fixed to the nearest demonstration's; each has an optimiser of an offset from behaviour cloning.
-
-    Args:
-        spec: The task.
-        seed: Of the optimisers.
-        make: An optimiser of so many numbers with a seed.
-    """
+    """Fixes the context to the nearest demonstration; each has an optimiser of offsets from behaviour cloning."""
 
     def __init__(self, spec: TaskSpec, seed: int, make: Callable[[int, int], Optimiser]) -> None:
         self._spec, self._seed, self._make = spec, seed, make

@@ -22,10 +22,6 @@ _MOST_BYTES: Final = 2**24
 class StoredRun:
     """One task of a log as it is at this moment; to be used from one thread.
 
-    Args:
-        data: Data directory or database of a server.
-        task: The task's name.
-
     Attributes:
         spec: The specification in force.
         last: Log position of the last entry; what a server adds later is left out.

@@ -163,9 +163,6 @@ class Tasks:
     The writer changes the tasks, and `note_names` the names. Lists of entries are copied in one step of the
     interpreter, so that an addition cannot interfere.
 
-    Args:
-        moves: The renames and deletions in the log.
-
     Attributes:
         creates: New tasks are this server's to make.
     """

@@ -166,11 +166,6 @@ class _Batch:
     """A question about many states, answered a few at a time by the model of its beginning.
 
     The slices are short because no other Python thread runs while the factor is solved for one.
-
-    Attributes:
-        question: The request.
-        ids: One id of 16 bytes for each state.
-        compute_us: Time spent in the model [us].
     """
 
     __slots__ = ("_done", "_model", "_novel", "_parts", "_states", "_step", "compute_us", "ids", "question")

@@ -54,11 +54,7 @@ _MOST_HELD_BYTES: Final = 64 * 2**20  # of the requests that wait
 
 @final
 class Writer:
-    """The work of the write lane: reports in groups, other requests one by one, in order of arrival.
-
-    Attributes:
-        commits: Times of the commits.
-    """
+    """The work of the write lane: reports in groups, other requests one by one, in order of arrival."""
 
     def __init__(self, log: TaskLog, tasks: Tasks, workers: Workers, learning: Learning) -> None:
         self.commits: Final = Durations.named("crkr_commit_duration_seconds", "Durable commits to the task log.")

@@ -17,14 +17,7 @@ COLOURS: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7")
 
 
 def draw_learning_curve(history: RunHistory, title: str, budget: int, path: Path) -> bool:
-    """Writes the figure; returns False, without a file, if no epoch was judged.
-
-    Args:
-        history: The run.
-        title: Above the axes.
-        budget: Size of the active set when it is full.
-        path: Of the PNG.
-    """
+    """Writes the figure; returns False, without a file, if no epoch was judged."""
     if not history.epochs:
         return False
     from crkr.sim_worker.figure import mpl, new_figure, save_figure

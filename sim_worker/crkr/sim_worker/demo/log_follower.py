@@ -21,10 +21,6 @@ WINDOW_S: Final = 5.0
 class LogFollower:
     """Reads what is new in the log, and the server's status.
 
-    Args:
-        client: A client with a short deadline.
-        task: The task's name.
-
     Attributes:
         history: The run so far; None until the task exists.
         trained_before: Training trials stored at `begin`.

@@ -32,10 +32,6 @@ class DemoFailed(CrkrError):
 class DemoProcesses:
     """Server, dashboard and workers of one demo.
 
-    Args:
-        settings: What to run.
-        say: Prints a line for people.
-
     Attributes:
         viewer: The viewer's address, once it is known.
         dashboard_lost: Whether `crkr watch` failed or died.

@@ -23,13 +23,7 @@ COST_OF_NOTHING = 1.0
 
 @final
 class FixedContexts:
-    """The same contexts at each epoch, in each run of a task with this seed.
-
-    Args:
-        skill: Draws them.
-        seed: The task's seed.
-        count: Number of contexts.
-    """
+    """The same contexts at each epoch, in each run of a task with this seed."""
 
     def __init__(self, skill: Skill, seed: int, count: int) -> None:
         self._skill = skill

@@ -58,13 +58,7 @@ class EpochClock:
 
 @final
 class JudgeRole:
-    """Holds the role of the judge of a task whenever it is free.
-
-    Args:
-        client: The supervisor's.
-        task: The task that is trained.
-        say: Prints a line for people.
-    """
+    """Holds the role of the judge of a task whenever it is free."""
 
     def __init__(self, client: Client, task: Task, say: Callable[[str], None]) -> None:
         self._client = client

@@ -18,16 +18,7 @@ __all__ = ["Evaluator"]
 
 @final
 class Evaluator:
-    """Executes the model's goals in the fixed contexts of the epochs that the supervisor assigns to this worker.
-
-    Args:
-        task: What is judged.
-        skill: Executes the goals, between two training trials.
-        count: Contexts of an epoch.
-        worker: Name in the log.
-        link: To the supervisor.
-        telemetry: Where the trials are shown.
-    """
+    """Executes the model's goals in the fixed contexts of the epochs that the supervisor assigns to this worker."""
 
     def __init__(
         self, task: Task, skill: Skill, count: int, worker: str, link: SupervisorLink, telemetry: Telemetry

@@ -47,9 +47,6 @@ class EpochScore:
 class RunHistory:
     """Grows by one stored trial at a time, in log order.
 
-    Args:
-        spec: The task's specification.
-
     Attributes:
         last_seq: Log position of the newest trial seen.
         kinds: Number of trials of each kind.

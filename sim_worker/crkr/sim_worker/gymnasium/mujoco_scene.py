@@ -22,9 +22,6 @@ class MujocoScene:
     """Draws an environment that has a MuJoCo model; one that has none gives no shapes.
 
     Meshes are drawn as boxes around them. Sites that are visible, often targets, are drawn as spheres that move.
-
-    Args:
-        env: The unwrapped environment.
     """
 
     def __init__(self, env: Any) -> None:

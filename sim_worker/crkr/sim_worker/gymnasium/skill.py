@@ -111,13 +111,7 @@ def gymnasium_skill(
 
 @final
 class _Trials:
-    """Episodes of an environment, each decided by a goal at its start.
-
-    Attributes:
-        environment: What is run.
-        motion: Turns goals into actions.
-        scene: Its shapes, and the trace of the last episode.
-    """
+    """Episodes of an environment, each decided by a goal at its start."""
 
     def __init__(self, environment: Environment, motion: Motion) -> None:
         self.environment = environment
@@ -153,14 +147,7 @@ class _Trials:
 
 @final
 class GymnasiumSkill:
-    """A skill that `gymnasium_skill` makes; implements `Skill` and `HasScene`.
-
-    Args:
-        spec: The task's specification.
-        observation: Which numbers are the state.
-        trials: Runs the episodes.
-        judgement: Says what they are worth.
-    """
+    """A skill that `gymnasium_skill` makes; implements `Skill` and `HasScene`."""
 
     def __init__(self, spec: TaskSpec, observation: Observation, trials: _Trials, judgement: Judgement) -> None:
         self._spec = spec

@@ -27,12 +27,7 @@ GOOD, BAD, ACTIVE = "#009E73", "#D55E00", "#0072B2"
 
 @final
 class Run:
-    """The training trials of a task, and its evaluations.
-
-    Args:
-        spec: Of the task.
-        trials: Its stored trials, in order.
-    """
+    """The training trials of a task, and its evaluations."""
 
     def __init__(self, spec: TaskSpec, trials: Iterable[StoredTrial]) -> None:
         self.spec = spec

@@ -154,9 +154,6 @@ class InteriorPoint:
 
     With u_j = w_{j+1} - w_j eliminated the variables are w_1..w_N, p_1..p_N, and all matrices are banded. One object
     serves one thread.
-
-    Args:
-        program: The stroke's matrices.
     """
 
     def __init__(self, program: StrokeProgram) -> None:

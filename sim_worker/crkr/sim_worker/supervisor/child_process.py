@@ -26,11 +26,7 @@ class PipeClosed(Exception):
 
 @final
 class MessagePipe:
-    """One end of a pipe between the supervisor and one of its processes; messages are small maps.
-
-    Args:
-        connection: One end of `multiprocessing.Pipe()`.
-    """
+    """One end of a pipe between the supervisor and one of its processes; messages are small maps."""
 
     def __init__(self, connection: Connection) -> None:
         self.connection = connection

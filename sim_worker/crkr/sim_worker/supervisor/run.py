@@ -28,11 +28,6 @@ QUICK_S = 1.0
 def run_workers(plan: RunPlan, say: Callable[[str], None], show: Callable[[int, str], None]) -> RunReport:
     """Runs a plan.
 
-    Args:
-        plan: What to do.
-        say: Prints a line for people.
-        show: Shows the training trials stored and a remark, often.
-
     Raises:
         CrkrError: There is no such skill, the server is away for longer than the patience, or the task differs.
     """

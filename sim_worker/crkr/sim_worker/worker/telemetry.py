@@ -52,12 +52,7 @@ def thinned(trace: Trace, rate_hz: float = TRACE_HZ) -> Trace:
 
 @final
 class Telemetry:
-    """Publishes a worker's trials: poses at most 30 times a second, the static scene first and at most every 2 s.
-
-    Args:
-        task: Where they belong.
-        scene: The shapes that never change.
-    """
+    """Publishes a worker's trials: poses at most 30 times a second, the static scene first and at most every 2 s."""
 
     def __init__(self, task: Task, scene: Sequence[Geom]) -> None:
         self._task = task

@@ -43,11 +43,6 @@ class _Owned:
 class PostgresLog:
     """A `TaskLog` by its URL, for a server that owns some of its tasks.
 
-    Args:
-        url: The database.
-        lease: The server's; it is given up on `close`.
-        rows: The tasks that were taken.
-
     Raises:
         StorageError: The tables hold less than was acknowledged, or are damaged.
         ShuttingDown: The database is away.

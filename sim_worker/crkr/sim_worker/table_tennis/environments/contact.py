@@ -32,13 +32,7 @@ MOST_PARTINGS = 5
 
 @final
 class ContactEnvironment:
-    """Executes swings in the contact simulation; the same ball and swing give the same bits.
-
-    Args:
-        arm: Kinematics and dynamics.
-        simulation: The scene.
-        magnus: Whether the scene lifts a spinning ball.
-    """
+    """Executes swings in the contact simulation; the same ball and swing give the same bits."""
 
     def __init__(self, arm: Arm, simulation: Simulation, *, magnus: bool = False) -> None:
         self._arm = arm

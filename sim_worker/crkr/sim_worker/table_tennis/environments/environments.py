@@ -34,13 +34,7 @@ INTERVAL: Final = 0.004  # between two paddle poses of the analytic environment 
 
 @final
 class HybridEnvironment:
-    """Executes swings with a simulated arm and an event-driven ball; the ball does not push the arm back.
-
-    Args:
-        arm: Kinematics and dynamics.
-        alone: The simulated arm.
-        magnus: Whether a spinning ball is lifted.
-    """
+    """Executes swings with a simulated arm and an event-driven ball; the ball does not push the arm back."""
 
     def __init__(self, arm: Arm, alone: ArmAlone, *, magnus: bool = False) -> None:
         self._arm = arm
@@ -63,12 +57,7 @@ class HybridEnvironment:
 
 @final
 class AnalyticEnvironment:
-    """Executes swings by formulas alone.
-
-    Args:
-        arm: Kinematics.
-        magnus: Whether a spinning ball is lifted.
-    """
+    """Executes swings by formulas alone."""
 
     def __init__(self, arm: Arm, *, magnus: bool = False) -> None:
         self._arm = arm

@@ -102,6 +102,11 @@ class TrialResult:
     trace: Trace | None = None
     learn: bool | None = None
 
+    @property
+    def reason(self) -> str:
+        """How it ended, in the skill's words."""
+        return str(self.info.get("reason", "success" if self.success else "failure"))
+
 
 @dataclass(frozen=True, slots=True)
 class Demonstration:

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from crkr.client.cli.error_lines import guarded
 from crkr.experiments.rivals.command import rivals
-from crkr.experiments.rivals.comparison import PACKAGES, RIVALS, Contest, compete
+from crkr.experiments.rivals.comparison import PACKAGES, RIVALS, Contest, train
 from crkr.protocol import Invalid
 from crkr.sim_worker.skill import SkillOptions
 from crkr.sim_worker.table_tennis.table_tennis import TableTennis
@@ -58,10 +58,10 @@ def test_a_rival_answers_within_bounds_and_repeats_by_its_seed(name: str, skill:
 
 
 def test_a_run_is_judged_at_every_mark_on_the_same_contexts(name: str, skill: TableTennis) -> None:
-    rows, milliseconds = compete(skill, CONTEST, name, seed=4)
+    rows, milliseconds = train(skill, CONTEST, RIVALS[name](skill.spec(), 4), name, 4)
     assert [(row.way, row.seed, row.trials, row.contexts) for row in rows] == [(name, 4, 0, 8), (name, 4, 6, 8)]
     assert milliseconds > 0
-    assert compete(skill, CONTEST, name, seed=4)[0] == rows
+    assert train(skill, CONTEST, RIVALS[name](skill.spec(), 4), name, 4)[0] == rows
 
 
 def test_a_study_goes_on_where_it_stopped(tmp_path: Path) -> None:

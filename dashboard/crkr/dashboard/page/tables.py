@@ -9,7 +9,7 @@ from typing import Any, Final
 from crkr.dashboard.page.charts import percent
 from crkr.dashboard.page.figures import Figures
 from crkr.dashboard.page.markup import Element, card, number, table, tag
-from crkr.dashboard.status_facts import worker_rows
+from crkr.dashboard.status_facts import advice_lines, worker_rows
 from crkr.protocol import TaskSpec
 
 __all__ = ["ago", "settings", "stamp", "tiles", "workers"]
@@ -94,16 +94,10 @@ def settings(spec: TaskSpec, status: Mapping[str, Any]) -> Element:
         ("prior mean", spec.prior_mean),
         ("seed", str(spec.seed)),
     ]
-    advice = status.get("advice")
-    told = (
-        [str(each.get("message", "")) for each in advice if isinstance(each, Mapping)]
-        if isinstance(advice, list)
-        else []
-    )
     return card(
         "settings",
         "Settings",
-        *(tag("p", text, klass="advice") for text in told),
+        *(tag("p", text, klass="advice") for text in advice_lines(status)),
         table(("setting", "value"), rules),
         _folded("State", table(("name", "unit", "range", "length-scale"), states)),
         _folded("Goal", table(("name", "unit", "bounds"), goals)),

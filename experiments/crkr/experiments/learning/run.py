@@ -7,13 +7,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from hashlib import sha256
 from typing import Any, Final, final
-from uuid import UUID
 
 import numpy as np
 
 from crkr.client.tally import Tally, success_by_criterion
+from crkr.experiments.rivals.rival import Crkr
 from crkr.learner import Learner, SelectorFactory
-from crkr.protocol import Array, Invalid, NoSamples, TaskSpec, training_id
+from crkr.protocol import Array, Invalid, NoSamples, TaskSpec
 from crkr.sim_worker.randomness import demonstration_rng, evaluation_rng, fresh_rng, training_rng
 from crkr.sim_worker.skill import Demonstration, HasDemonstrations, Skill, judged_state
 
@@ -141,21 +141,20 @@ def _trained_learner(
     watch: Callable[[Learner, int], object],
     selector: SelectorFactory | None = None,
 ) -> Learner:
-    spec = TaskSpec.from_dict({**skill.spec().to_dict(), "seed": seed, **dict(course.settings)})
-    learner = Learner(spec, selector=selector)
-    for shown in demonstrated(skill, course.demonstrations, seed):
-        learner.report(
-            state=shown.state, goal=shown.goal, cost=shown.result.cost, success=True, kind="demonstration",
-            outcome=shown.result.outcome,
-        )  # fmt: skip
+    spec = TaskSpec.from_dict({**skill.spec().to_dict(), **dict(course.settings)})
+    learned = Crkr(spec, seed, selector)  # with the ids of a worker: exploration does not depend on other questions
+    learned.start(demonstrated(skill, course.demonstrations, seed))
     rng = training_rng(seed, 1)
     for trial in range(course.trials):
-        watch(learner, trial)
-        # The ids of a worker: exploration does not depend on other questions.
-        trial_id = training_id(learner.spec.name, seed, 1, trial + 1)
-        training[_execute_trial(skill, learner, rng, trial_id, digest)] += 1
-    watch(learner, course.trials)
-    return learner
+        watch(learned.learner, trial)
+        state = skill.reset(rng)
+        goal = learned.ask(state)
+        result = skill.execute(goal)
+        learned.tell(state, goal, result)
+        digest(np.array([*state, *goal, np.nan if result.cost is None else result.cost]).tobytes())
+        training[result.reason] += 1
+    watch(learned.learner, course.trials)
+    return learned.learner
 
 
 def demonstrated(skill: Skill, count: int, seed: int) -> Sequence[Demonstration]:
@@ -169,20 +168,6 @@ def demonstrated(skill: Skill, count: int, seed: int) -> Sequence[Demonstration]
     if not isinstance(skill, HasDemonstrations):
         raise Invalid(f"{type(skill).__name__} has no demonstrations (a method `demonstrations`); ask for 0")
     return skill.demonstrations(count, demonstration_rng(seed))
-
-
-def _execute_trial(
-    skill: Skill, learner: Learner, rng: np.random.Generator, trial_id: UUID, digest: Callable[[bytes], object]
-) -> str:
-    """Execute one training trial; returns how it ended."""
-    answer = learner.predict(skill.reset(rng), explore=True, trial_ids=trial_id)
-    result = skill.execute(answer.goals)
-    kind = "trial" if result.executed else "failed"
-    success = result.success and result.executed
-    digest(np.array([*answer.states, *answer.goals, np.nan if result.cost is None else result.cost]).tobytes())
-    learn = result.learn if result.executed else None
-    learner.report(answer, cost=result.cost, success=success, kind=kind, outcome=result.outcome, learn=learn)
-    return str(result.info.get("reason", "success" if success else "failure"))
 
 
 def _policy(learner: Learner) -> Callable[[Array], Array]:
@@ -207,5 +192,5 @@ def judge(
         judged_state(skill, context, rng(context))
         result = skill.execute(goal)
         tally.add(success_by_criterion(result.success, result.info))
-        reasons[str(result.info.get("reason", "success" if result.success else "failure"))] += 1
+        reasons[result.reason] += 1
     return Score(trials, tally, dict(reasons.most_common()))

@@ -3,17 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import Annotated, Final
 
 import typer
 
-from crkr.client.cli.console import print_json, stderr
+from crkr.client.cli.console import print_json
 from crkr.client.cli.options import Json
-
-if TYPE_CHECKING:
-    from crkr.experiments.rivals.comparison import Contest
-    from crkr.experiments.study.rows import Row
-    from crkr.sim_worker.skill import Skill
 
 __all__ = ["rivals"]
 
@@ -50,16 +45,13 @@ def rivals(
     Example: crkr experiment rivals --launcher wide --trials 100 --trials 500
     """
     from importlib.util import find_spec
-    from statistics import median
 
     from crkr.client.cli.error_lines import require
-    from crkr.client.cli.progress import Progress
     from crkr.experiments.figures.curves import draw_summaries
     from crkr.experiments.rivals.comparison import PACKAGES, RIVALS, Contest
-    from crkr.experiments.study.rows import Rows, compare, comparison_cell, print_summary, summary_table
+    from crkr.experiments.study.contest_runs import beside, make_runs
+    from crkr.experiments.study.rows import Rows, comparison_cell, print_summary, summary_table
     from crkr.protocol import Invalid
-    from crkr.sim_worker.places.places import load_places
-    from crkr.sim_worker.skill import SkillOptions
 
     unknown = sorted(set(only or ()) - set(RIVALS))
     if unknown:
@@ -69,30 +61,13 @@ def rivals(
     names = [name for name in RIVALS if name in (only or RIVALS.keys() - absent)]
     contest = Contest(tuple(sorted(set(trials or (100, 500)))), contexts, judge, demonstrations)
     settings = {
-        "skill": skill,
-        "launcher": launcher,
-        "environment": environment,
-        "contexts": contexts,
-        "judge": judge,
+        "skill": skill, "launcher": launcher, "environment": environment, "contexts": contexts, "judge": judge,
         "demonstrations": demonstrations,
-    }
-    rows, costs = Rows(out, _FILE, settings), dict[str, list[float]]()
-    wanted = rows.missing(names, range(first_seed, first_seed + seeds), contest.marks[-1])
-    parts = [(contest, name, seed) for name, seed in wanted]
-    with Progress(stderr, "learning", len(parts), "runs") as progress:
-        options = SkillOptions(environment=environment, launcher=launcher, traces=False)
-        spread = load_places(on).spread(skill, options, _compete, parts, jobs) if parts else iter(())
-        for done, (found, milliseconds) in enumerate(spread, 1):
-            rows.add(found)
-            costs.setdefault(found[0].way, []).append(milliseconds)
-            progress.show(done, f"{found[0].way}, seed {found[0].seed}", now=True)
-    rows.sort()
-    last = contest.marks[-1]
+    }  # fmt: skip
+    rows, ways = Rows(out, _FILE, settings), {name: RIVALS[name] for name in names}
+    busy = make_runs(rows, settings, contest, ways, range(first_seed, first_seed + seeds), jobs, on)
     table = summary_table(rows.all, names, contest.marks)
-    others = [name for name in names if name != _OURS]
-    better = {name: compare(rows.all, [(name, _OURS)], last) for name in others}
-    area = {name: compare(rows.all, [(name, _OURS)], last, area=True) for name in others}
-    busy = {name: median(found) for name, found in costs.items()}
+    better, area = beside(rows, dict.fromkeys(names, _OURS), contest.marks[-1])
     title = f"{skill}, {launcher or 'its launcher'}, {environment}, {contexts} contexts"
     if out is not None and contest.marks[0] > 0:
         draw_summaries(table, title, out / _FIGURE)
@@ -110,9 +85,3 @@ def rivals(
         "ms a trial": lambda way: f"{busy[way]:.1f}" if way in busy else "",
     }
     print_summary(table, contest.marks, title, extra)
-
-
-def _compete(skill: Skill, part: tuple[Contest, str, int]) -> tuple[list[Row], float]:
-    from crkr.experiments.rivals.comparison import compete
-
-    return compete(skill, *part)

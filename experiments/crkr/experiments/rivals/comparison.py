@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from importlib import import_module
 from time import thread_time
 from typing import Final, final
@@ -18,19 +19,19 @@ from crkr.protocol import TaskSpec
 from crkr.sim_worker.randomness import fresh_rng, training_rng
 from crkr.sim_worker.skill import Skill
 
-__all__ = ["PACKAGES", "RIVALS", "Contest", "compete", "train"]
+__all__ = ["PACKAGES", "RIVALS", "Contest", "train"]
 
 Maker = Callable[[TaskSpec, int], Rival]
 
 
+def _imported(module: str, name: str, spec: TaskSpec, seed: int) -> Rival:
+    rival: Rival = getattr(import_module(f"crkr.experiments.rivals.{module}"), name)(spec, seed)
+    return rival
+
+
 def _later(module: str, name: str) -> Maker:
     """A rival whose library is imported when it is made."""
-
-    def make(spec: TaskSpec, seed: int) -> Rival:
-        rival: Rival = getattr(import_module(f"crkr.experiments.rivals.{module}"), name)(spec, seed)
-        return rival
-
-    return make
+    return partial(_imported, module, name)
 
 
 RIVALS: Final[dict[str, Maker]] = {
@@ -76,11 +77,6 @@ class Contest:
     judge: int
     demonstrations: int
     criterion: str | None = None
-
-
-def compete(skill: Skill, contest: Contest, rival: str, seed: int) -> tuple[list[Row], float]:
-    """Trains a rival by its name; see `train`."""
-    return train(skill, contest, RIVALS[rival](skill.spec(), seed), rival, seed)
 
 
 def train(skill: Skill, contest: Contest, learner: Rival, way: str, seed: int) -> tuple[list[Row], float]:

@@ -110,7 +110,7 @@ class Crkr:
     """crkr's own learner, as a worker uses it; a `selector` takes the place of the specification's."""
 
     def __init__(self, spec: TaskSpec, seed: int, selector: SelectorFactory | None = None) -> None:
-        self._learner = Learner(TaskSpec.from_dict({**spec.to_dict(), "seed": seed}), selector=selector)
+        self.learner = Learner(TaskSpec.from_dict({**spec.to_dict(), "seed": seed}), selector=selector)
         self._seed = seed
         self._trials = 0
 
@@ -118,7 +118,7 @@ class Crkr:
         """Reports them with kind demonstration."""
         for shown in demonstrations:
             result = shown.result
-            self._learner.report(
+            self.learner.report(
                 state=shown.state, goal=shown.goal, cost=result.cost, success=True, kind="demonstration",
                 outcome=result.outcome,
             )  # fmt: skip
@@ -126,8 +126,8 @@ class Crkr:
     def ask(self, state: Array) -> Array:
         """The goal of an exploring prediction."""
         self._trials += 1
-        trial_id = training_id(self._learner.spec.name, self._seed, 1, self._trials)
-        self._answer = self._learner.predict(state, explore=True, trial_ids=trial_id)
+        trial_id = training_id(self.learner.spec.name, self._seed, 1, self._trials)
+        self._answer = self.learner.predict(state, explore=True, trial_ids=trial_id)
         goals: Array = self._answer.goals
         return goals
 
@@ -135,12 +135,12 @@ class Crkr:
         """Reports the trial."""
         del state, goal  # Unused: they are the answer's.
         kind = "trial" if result.executed else "failed"
-        self._learner.report(
+        self.learner.report(
             self._answer, cost=result.cost, success=result.success and result.executed, kind=kind,
             outcome=result.outcome, learn=result.learn if result.executed else None,
         )  # fmt: skip
 
     def policy(self, states: Array) -> Array:
         """Means of the regression, moved by outcomes where the task has them."""
-        goals: Array = self._learner.predict(states).goals
+        goals: Array = self.learner.predict(states).goals
         return goals

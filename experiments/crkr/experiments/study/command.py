@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
-from crkr.client.cli.console import print_json, print_table, stderr, stdout
+from crkr.client.cli.console import print_json, print_table, stdout
 from crkr.client.cli.options import Json
 
 if TYPE_CHECKING:
-    from crkr.experiments.rivals.comparison import Contest
-    from crkr.experiments.rivals.rival import Rival
-    from crkr.experiments.study.rows import Row, Rows
-    from crkr.protocol import TaskSpec
-    from crkr.sim_worker.skill import Skill
+    from crkr.experiments.study.rows import Rows
 
 __all__ = ["ablation", "study"]
 
@@ -88,8 +84,7 @@ def study(
         "skill": skill, "launcher": launcher, "environment": environment, "preset": preset, "contexts": contexts,
         "judge": judge, "demonstrations": demonstrations, "criterion": criterion,
     }  # fmt: skip
-    chosen = range(first_seed, first_seed + seeds)
-    rows, marks = _run("study.csv", settings, ways, chosen, trials, (jobs, on, out))
+    rows, marks = _run("study.csv", settings, ways, range(first_seed, first_seed + seeds), trials, (jobs, on, out))
     table = _shown(rows, marks, rivals, settings, out and out / "study.png", as_json=json)
     if json:
         print_json(table)
@@ -131,8 +126,7 @@ def ablation(
         "skill": skill, "launcher": launcher, "environment": environment, "preset": "tuned", "contexts": contexts,
         "judge": judge, "demonstrations": demonstrations, "criterion": criterion,
     }  # fmt: skip
-    chosen = range(first_seed, first_seed + seeds)
-    rows, marks = _run("ablation.csv", settings, ways, chosen, trials, (jobs, on, out))
+    rows, marks = _run("ablation.csv", settings, ways, range(first_seed, first_seed + seeds), trials, (jobs, on, out))
     table = _shown(rows, marks, dict.fromkeys(ways, WHOLE), settings, out and out / "ablation.png", as_json=json)
     if json:
         print_json(table)
@@ -146,47 +140,17 @@ def _run(
     trials: int,
     places: tuple[int, str, Path | None],
 ) -> tuple[Rows, tuple[int, ...]]:
-    """Makes the runs that are missing, once more where a process died; returns all rows, and the marks."""
-    from crkr.client.cli.progress import Progress
+    """Makes the runs that are missing; returns all rows, and the marks."""
     from crkr.experiments.rivals.comparison import Contest
+    from crkr.experiments.study.contest_runs import make_runs
     from crkr.experiments.study.rows import Rows
-    from crkr.sim_worker.places.places import load_places
-    from crkr.sim_worker.skill import SkillOptions
-    from crkr.sim_worker.supervisor.pool import ProcessLost
 
     jobs, on, out = places
     marks = (*(mark for mark in _MARKS if mark < trials), trials)
     judged = (settings["contexts"], settings["judge"], settings["demonstrations"], settings["criterion"])
-    contest = Contest(marks, *judged)
     rows = Rows(out, file, settings)
-    options = SkillOptions(settings["environment"], settings["launcher"], settings["preset"], traces=False)
-    for attempt in (1, 2):
-        parts = [(contest, name, ways[name], seed) for name, seed in rows.missing(ways, seeds, trials)]
-        if not parts:
-            break
-        with Progress(stderr, "learning", len(parts), "runs") as progress:
-            try:
-                for done, found in enumerate(
-                    load_places(on).spread(settings["skill"], options, _learn, parts, jobs), 1
-                ):
-                    rows.add(found)
-                    progress.show(done, f"{found[0].way}, seed {found[0].seed}", now=True)
-            except ProcessLost as error:
-                missing = list(rows.missing(ways, seeds, trials))
-                first = "; ".join(f"{name}, seed {seed}" for name, seed in missing[:jobs])
-                told = f"a process was lost with {len(missing)} runs not made, in one of the first: {first}; {settings}"
-                if attempt == 2:
-                    raise ProcessLost(told) from error
-                stderr.print(f"{told}; trying once more")
-    rows.sort()
+    make_runs(rows, settings, Contest(marks, *judged), ways, seeds, jobs, on)
     return rows, marks
-
-
-def _learn(skill: Skill, part: tuple[Contest, str, Callable[[TaskSpec, int], Rival], int]) -> list[Row]:
-    from crkr.experiments.rivals.comparison import train
-
-    contest, name, make, seed = part
-    return train(skill, contest, make(skill.spec(), seed), name, seed)[0]
 
 
 def _shown(
@@ -200,12 +164,10 @@ def _shown(
 ) -> list[dict[str, Any]]:
     """The table of all ways, each beside its rival; printed unless it is wanted as JSON, and drawn."""
     from crkr.experiments.figures.curves import draw_gains
-    from crkr.experiments.study.rows import compare, comparison_cell, print_summary, summary_table
+    from crkr.experiments.study.contest_runs import beside
+    from crkr.experiments.study.rows import comparison_cell, print_summary, summary_table
 
-    table = summary_table(rows.all, rivals, marks)
-    pairs = {way: [(way, rival)] for way, rival in rivals.items() if way != rival}
-    last = {way: compare(rows.all, pair, marks[-1]) for way, pair in pairs.items()}
-    area = {way: compare(rows.all, pair, marks[-1], area=True) for way, pair in pairs.items()}
+    table, (last, area) = summary_table(rows.all, rivals, marks), beside(rows, rivals, marks[-1])
     gains = {way: found.gain for way, found in last.items() if found is not None}
     title = ", ".join(str(settings[name]) for name in ("skill", "launcher", "environment", "preset") if settings[name])
     if figure is not None and gains:

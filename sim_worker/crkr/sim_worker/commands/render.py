@@ -90,8 +90,7 @@ def render(
                 return
             goal = theirs.predict(_drawn(player, seed, context)).goal
     result = render_trial(player, goal, out, sequence=sequence, slow=slow)
-    reason = result.info.get("reason", "success" if result.success else "failure")
-    stderr.print(f"{out}: context {context} of seed {seed}, {reason}")
+    stderr.print(f"{out}: context {context} of seed {seed}, {result.reason}")
 
 
 def _drawn(player: Skill, seed: int, context: int) -> Array:

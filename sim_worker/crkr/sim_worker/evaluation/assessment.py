@@ -60,7 +60,7 @@ class Assessment:
     def add(self, played: PlayedContext) -> None:
         """Counts one context."""
         self.policy.add(success_by_criterion(played.result.success, played.result.info))
-        self.reasons[str(played.result.info.get("reason", "success" if played.result.success else "failure"))] += 1
+        self.reasons[played.result.reason] += 1
         if played.oracle:
             self.oracle.add(played.oracle)
 
@@ -151,7 +151,9 @@ def record(task: Task, answers: list[Prediction], played: list[PlayedContext], s
         source: Environment and launcher in force, as part of the ids.
     """
     rows = [
-        (answer.states[row], answer.goals[row], answer.model_version) for answer in answers for row in _rows(answer)
+        (state, goal, answer.model_version)
+        for answer in answers
+        for state, goal in zip(answer.states, answer.goals, strict=True)
     ]
     trials = [
         _identified(
@@ -177,10 +179,6 @@ def _identified(task: Task, context: str, **content: Any) -> Trial:
     """A trial whose id follows from its context and its content."""
     trial = Trial.create(task.spec, id=UUID(int=0), **content)
     return replace(trial, id=task_id(task.name, f"{context}/{trial.digest().hex()}"))
-
-
-def _rows(answer: Prediction) -> range:
-    return range(len(answer.goals))
 
 
 def play_oracle(

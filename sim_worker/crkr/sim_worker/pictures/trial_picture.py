@@ -129,14 +129,13 @@ def _captioned(picture: Picture, text: str) -> Picture:
 
 def compared(trial: Trial, again: TrialResult) -> str:
     """Says whether executing a trial again gave what was measured the first time."""
-    reason = again.info.get("reason", "success" if again.success else "failure")
     told_now = "no cost" if again.cost is None else f"cost {again.cost:.4f}"
     if _same(trial, again):
-        return f"{reason}, {told_now}: to the bit what was measured then"
+        return f"{again.reason}, {told_now}: to the bit what was measured then"
     before = trial.info.get("reason", "no reason")
     told = "no cost" if trial.cost is None else f"cost {trial.cost:.4f}"
     return (
-        f"{reason}, {told_now}; the log says {before}, {told}: environment or skill differ "
+        f"{again.reason}, {told_now}; the log says {before}, {told}: environment or skill differ "
         "(see --environment and --skill)"
     )
 

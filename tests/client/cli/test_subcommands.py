@@ -49,6 +49,12 @@ def names(app: typer.Typer, prefix: str = "") -> set[str]:
     return found
 
 
+def test_an_unknown_command_of_a_group_lists_the_known_ones(entries: list[EntryPoint]) -> None:
+    done = invoke("bench", "three")
+    assert done.exit_code == 2
+    assert "no command 'three'; there are: one, two" in done.stderr
+
+
 @pytest.mark.parametrize(
     ("arguments", "loaded"),
     [

@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 from crkr.client.cli.error_lines import guarded
 from crkr.experiments.rivals.command import rivals
 from crkr.experiments.rivals.comparison import PACKAGES, RIVALS, Contest, train
+from crkr.experiments.rivals.rival import DESIGN
 from crkr.protocol import Invalid
 from crkr.sim_worker.skill import SkillOptions
 from crkr.sim_worker.table_tennis.table_tennis import TableTennis
@@ -62,6 +63,20 @@ def test_a_run_is_judged_at_every_mark_on_the_same_contexts(name: str, skill: Ta
     assert [(row.way, row.seed, row.trials, row.contexts) for row in rows] == [(name, 4, 0, 8), (name, 4, 6, 8)]
     assert milliseconds > 0
     assert train(skill, CONTEST, RIVALS[name](skill.spec(), 4), name, 4)[0] == rows
+
+
+def test_a_rival_needs_no_demonstrations(name: str, skill: TableTennis) -> None:
+    contest = Contest(marks=(0, DESIGN + 3), contexts=8, judge=5, demonstrations=0)
+    rows, _ = train(skill, contest, RIVALS[name](skill.spec(), 4), name, 4)
+    assert [row.trials for row in rows] == [0, DESIGN + 3]
+
+
+def test_a_forward_model_learns_from_one_demonstration_as_its_goals_are_varied(skill: TableTennis) -> None:
+    model = RIVALS["bayesian-quadratic"](skill.spec(), 3)
+    (shown,) = skill.demonstrations(1, np.random.default_rng(1))
+    model.start([shown])
+    asked = np.array([model.ask(shown.state) for _ in range(20)])
+    assert asked.std(axis=0).min() > 0
 
 
 def test_a_study_goes_on_where_it_stopped(tmp_path: Path) -> None:

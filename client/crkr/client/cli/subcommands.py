@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from importlib.metadata import EntryPoint, entry_points, version
-from typing import Annotated, Final
+from typing import Annotated, Any, Final, final
 
 import typer
+from typer.core import TyperGroup
 
 from crkr.client.cli.error_lines import guarded, later_python, reason_missing
 
@@ -30,6 +31,16 @@ _HELP: Final = """A policy service for robots that learn by trying.
 
 Start with `crkr demo`, or with `crkr server` and `crkr create`.
 """
+
+
+@final
+class _Group(TyperGroup):
+    """Commands of a group; the error for an unknown one lists them."""
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        if args and args[0] not in self.commands:
+            ctx.fail(f"no command {args[0]!r}; there are: {', '.join(self.list_commands(ctx))}")
+        return super().resolve_command(ctx, args)
 
 
 def build(arguments: list[str]) -> typer.Typer:
@@ -63,14 +74,15 @@ def _add(app: typer.Typer, entries: Iterable[EntryPoint]) -> None:
             _register(app, name, entry, _panel(name))
             continue
         if group not in groups:
-            groups[group] = _application(_GROUP_HELP.get(group, f"Commands of {group}."))
+            groups[group] = _application(_GROUP_HELP.get(group, f"Commands of {group}."), _Group)
             groups[group].callback()(lambda: None)  # stays a group even with one command
             app.add_typer(groups[group], name=group, rich_help_panel=_panel(group))
         _register(groups[group], name, entry, None)
 
 
-def _application(text: str) -> typer.Typer:
+def _application(text: str, cls: type[TyperGroup] = TyperGroup) -> typer.Typer:
     return typer.Typer(
+        cls=cls,
         help=text,
         no_args_is_help=True,
         pretty_exceptions_enable=False,

@@ -117,9 +117,14 @@ class CompositeOptimisation:
 
     def _processes(self) -> Iterator[SingleTaskGP]:
         x, y = (np.array(part) for part in zip(*self._trials, strict=True))
-        for entry in y.T:
+        noise = NOISE**2 * (1 + y**2)
+        unseen = ~np.isfinite(y).any(
+            axis=0
+        )  # a process needs a trial: one at the target, with a noise that says nothing
+        y[0, unseen], noise[0, unseen] = 0.0, 1e6
+        for entry, variance in zip(y.T, noise.T, strict=True):
             seen = np.isfinite(entry)
-            data = [torch.as_tensor(part[seen])[..., None] for part in (entry, NOISE**2 * (1 + entry**2))]
+            data = [torch.as_tensor(part[seen])[..., None] for part in (entry, variance)]
             yield SingleTaskGP(
                 torch.as_tensor(x[seen]), *data,
                 input_transform=Normalize(x.shape[1]), outcome_transform=Standardize(1),

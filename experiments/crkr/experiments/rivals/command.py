@@ -26,7 +26,7 @@ def rivals(
     ] = None,
     contexts: Annotated[int, typer.Option(min=1, max=1_000_000, help="Fresh contexts of each judgement.")] = 300,
     judge: Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Seed of these contexts.")] = 777,
-    demonstrations: Annotated[int, typer.Option(min=1, max=10_000, help="Demonstrations before the first trial.")] = 5,
+    demonstrations: Annotated[int, typer.Option(min=0, max=10_000, help="Demonstrations before the first trial.")] = 5,
     launcher: Annotated[str | None, typer.Option(help="Where contexts come from, e.g. wide.")] = None,
     environment: Annotated[str, typer.Option(help="Which simulator, e.g. contact.")] = "analytic",
     skill: Annotated[str, typer.Option(help="A skill, or package.module:factory.")] = "table-tennis",

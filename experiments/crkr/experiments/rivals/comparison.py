@@ -13,7 +13,7 @@ from crkr.experiments.learning.run import demonstrated, judge
 from crkr.experiments.rivals.forward_models import bayesian_quadratic, ridge_quadratic
 from crkr.experiments.rivals.gaussian_processes import global_gp
 from crkr.experiments.rivals.policy_search import SuccessRegression, contextual_cma_es, contextual_reps
-from crkr.experiments.rivals.rival import Crkr, Rival
+from crkr.experiments.rivals.rival import Crkr, InitialDesign, Rival
 from crkr.experiments.study.rows import Row, judged_row
 from crkr.protocol import TaskSpec
 from crkr.sim_worker.randomness import fresh_rng, training_rng
@@ -68,7 +68,7 @@ class Contest:
         marks: Numbers of training trials at which the policy is judged, ascending; the last one ends a run.
         contexts: Fresh contexts at each.
         judge: Seed of these contexts.
-        demonstrations: Number before the first trial.
+        demonstrations: Number before the first trial; with 0 a rival starts from random goals.
         criterion: Of success, where the skill has several; None: its last, strictest one.
     """
 
@@ -85,6 +85,8 @@ def train(skill: Skill, contest: Contest, learner: Rival, way: str, seed: int) -
     Returns:
         Its rows, named `way`, and the processor time of one ask and tell [ms].
     """
+    if not contest.demonstrations and not isinstance(learner, Crkr):
+        learner = InitialDesign(learner, skill.spec(), seed)
     learner.start(demonstrated(skill, contest.demonstrations, seed))
     rng, rows, busy = training_rng(seed, 1), list[Row](), 0.0
     for trial in range(contest.marks[-1] + 1):

@@ -55,6 +55,9 @@ class SuccessRegression:
         return self._scales.real_goals(self._predict(states)[0])
 
     def _predict(self, states: Array) -> tuple[Array, Array]:
+        if not self._goals:
+            shape = len(states), len(self._spec.goal)
+            return np.zeros(shape), np.ones(shape)
         if self._model is None:
             kernel = ConstantKernel(1.0) * RBF(np.ones(len(self._spec.state))) + WhiteKernel(0.1)
             self._model = GaussianProcessRegressor(kernel, optimizer=None)

@@ -61,6 +61,8 @@ def judged_row(way: str, seed: int, score: Score, criterion: str | None = None) 
         Invalid: The skill has no such criterion.
     """
     there = list(score.tally.criteria)
+    if not there:  # nothing was executed, as there was no policy yet
+        return Row(way, seed, score.trials, 0, score.contexts)
     criterion = criterion or there[-1]
     if criterion not in there:
         raise Invalid(f"no criterion {criterion!r}; there are: {', '.join(there)}")

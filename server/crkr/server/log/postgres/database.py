@@ -11,7 +11,8 @@ from typing import Any, Final, final
 import psycopg
 
 from crkr.protocol import StorageError
-from crkr.server.log.postgres.connection import connect, is_away, prepare, read_errors
+from crkr.server.log.postgres.connection import connect, is_away, read_errors
+from crkr.server.log.postgres.schema import prepare
 from crkr.server.log.postgres.url import printable_location
 
 __all__ = ["PostgresDatabase"]

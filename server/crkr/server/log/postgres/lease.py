@@ -24,7 +24,8 @@ from uuid import UUID, uuid4
 import psycopg
 
 from crkr.protocol import CrkrError, ShuttingDown
-from crkr.server.log.postgres.connection import RETRY_MS, Connection, connect, database_errors, prepare
+from crkr.server.log.postgres.connection import RETRY_MS, Connection, connect, database_errors
+from crkr.server.log.postgres.schema import prepare
 from crkr.server.thread_faults import keep_running
 
 __all__ = ["LEASE_S", "Lease", "Member", "Roster", "TaskRow"]

@@ -81,6 +81,14 @@ def test_the_table_of_places_is_true() -> None:
     assert wrong_rows(text, REPOSITORY) == []
 
 
+def test_every_folder_of_the_sources_has_its_line() -> None:
+    text = (REPOSITORY / "ARCHITECTURE.md").read_text()
+    inside = [path.parent.relative_to(REPOSITORY).parts[3:] for path in REPOSITORY.glob("*/crkr/*/**/*.py")]
+    folders = {"/".join(parts) for parts in inside if parts}
+    assert len(folders) > 30
+    assert sorted(one for one in folders if not {one, one.split("/")[-1]} & set(CODE.findall(text))) == []
+
+
 def test_a_wrong_path_and_a_wrong_name_are_found() -> None:
     here = "tests/repo/test_documents.py"
     assert missing_paths(f"`{here}` `{here}::test_the_table_of_places_is_true` `tests/repo`", REPOSITORY) == []

@@ -63,7 +63,9 @@ def test_slopes_are_the_differences_of_the_expectations(former: int) -> None:
     D, Y = neighbours(3)
     fit = LocalGP.fit(KERNEL, D, Y, P, former=former)
     at, h = np.random.default_rng(3).normal(size=(3, P)), 1e-5
-    slope = fit.slope(at)
+    mean, variance, slope = fit.line(at)
+    for mine, theirs in zip((mean, variance, *fit.tangent(at)), (*fit.at(at[:, None]), mean, slope), strict=True):
+        np.testing.assert_allclose(mine, theirs.reshape(mine.shape), rtol=1e-9)
     for axis in range(P):
         step = h * np.eye(P)[axis]
         change = fit.mean((at + step)[:, None]) - fit.mean((at - step)[:, None])
@@ -87,9 +89,10 @@ def test_a_point_has_the_same_bits_in_any_company() -> None:
         alone = LocalGP.fit(KERNEL, D[row : row + 1], Y[row : row + 1], P)
         some = together.of(np.array([row]))
         for one in (alone, some):
-            for mine, theirs in zip(one.at(steps[row : row + 1]), together.at(steps), strict=True):
+            its, all_its = one.at(steps[row : row + 1]), together.at(steps)
+            lines, all_lines = one.line(steps[row : row + 1, 0]), together.line(steps[:, 0])
+            for mine, theirs in zip((*its, *lines), (*all_its, *all_lines), strict=True):
                 assert mine[0].tobytes() == theirs[row].tobytes()
-            assert one.slope(steps[row : row + 1, 0])[0].tobytes() == together.slope(steps[:, 0])[row].tobytes()
 
 
 @pytest.mark.parametrize("scale", [0.0, 1e-200, 1e3, 1e50])
@@ -103,4 +106,4 @@ def test_absurd_neighbours_give_numbers(scale: float, size: float) -> None:
     assert np.isfinite(mean).all()
     assert (variance > 0).all()
     assert np.isfinite(variance).all()
-    assert np.isfinite(fit.slope(np.ones((2, P)))).all()
+    assert all(np.isfinite(part).all() for part in fit.line(np.ones((2, P))))

@@ -10,6 +10,7 @@ Every array has b points in front. A point's numbers do not depend on which othe
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Final, final
 
@@ -22,6 +23,7 @@ from crkr.protocol import Array
 __all__ = ["LocalGP", "StepKernel", "inverse_factor"]
 
 _FARTHEST: Final = 1e3  # length of a row of D; longer ones are shortened, so that K always factors
+_CHUNK: Final = 4  # points whose matrices are in the processor's cache together
 _PRIOR_TRIALS: Final = 10.0  # weight of "the amplitude is 1" against the trials; a few perfect ones are not certainty
 
 
@@ -47,6 +49,11 @@ class StepKernel:
     reach: float
     noise: float
     change: float = 0.5
+
+    @property
+    def log_bend(self) -> float:
+        """Logarithm of `bend`; of none a number whose exponential is nothing beside the rest."""
+        return math.log(max(self.bend, 1e-300))
 
 
 @final
@@ -94,20 +101,23 @@ class LocalGP:
         if squares.max() > _FARTHEST**2:
             D = D * np.minimum(1.0, _FARTHEST / np.sqrt(np.maximum(squares, _FARTHEST**2)))[..., None]
             squares = np.vecdot(D, D)
-        K = _kernel(kernel, D @ D.swapaxes(1, 2), squares, squares)
-        k = K.shape[1]
-        if former:
-            K[:, : k - former, : k - former] *= 1.0 + kernel.change
-        diagonal = K.reshape(len(K), -1)[:, :: k + 1]
-        diagonal += kernel.noise if noise is None else noise
+        k = D.shape[1]
+        noise = np.full(squares.shape, kernel.noise) if noise is None else noise
         alpha, fitted = np.empty((2, *Y.shape))
-        factors = []
-        for row, one in enumerate(K):
-            L, _ = lapack.dpotrf(one.T, lower=1, clean=0, overwrite_a=1)  # in the place of K
-            factors.append(L)
-            W = blas.dtrsm(1.0, L, Y[row], lower=1)
-            fitted[row] = W
-            alpha[row] = blas.dtrsm(1.0, L, W, lower=1, trans_a=1, overwrite_b=1)
+        factors: list[Array] = []
+        for first in range(0, len(D), _CHUNK):
+            part = slice(first, first + _CHUNK)
+            K = _kernel(kernel, D[part] @ D[part].swapaxes(1, 2), squares[part], squares[part])
+            if former:
+                K[:, : k - former, : k - former] *= 1.0 + kernel.change
+            diagonal = K.reshape(len(K), -1)[:, :: k + 1]
+            diagonal += noise[part]
+            for row, one in enumerate(K, first):
+                L, _ = lapack.dpotrf(one.T, lower=1, clean=0, overwrite_a=1)  # in the place of K
+                factors.append(L)
+                W = blas.dtrsm(1.0, L, Y[row], lower=1)
+                fitted[row] = W
+                alpha[row] = blas.dtrsm(1.0, L, W, lower=1, trans_a=1, overwrite_b=1)
         amplitude = ((fitted * fitted).sum(axis=1) + _PRIOR_TRIALS) / (k + _PRIOR_TRIALS)
         return cls(kernel, D[..., -p:], squares, alpha, tuple(factors), amplitude, former)
 
@@ -121,23 +131,50 @@ class LocalGP:
         mean = cross @ self.alpha
         for L, one in zip(self.factors, cross, strict=True):  # L^-1 cross', in the place of it
             blas.dtrsm(1.0, L, one.T, lower=1, overwrite_b=1)
+        return mean, self._variance(lengths, np.vecdot(cross, cross))
+
+    def _variance(self, lengths: Array, known: Array) -> Array:
+        """Variances (b, ..., m) of an observation, of squared lengths of steps (b, ...) and |L^-1 cross|^2."""
         own = self.kernel
         prior = own.constant + own.bend + own.linear * lengths
         if self.former:
             prior *= 1.0 + own.change
-        rest = np.maximum(prior - np.vecdot(cross, cross), 0.0) + own.noise
-        return mean, rest[..., None] * self.amplitude[:, None]
+        rest = np.maximum(prior - known, 0.0) + own.noise
+        shape = len(rest), *[1] * (rest.ndim - 1), -1
+        return np.asarray(rest[..., None] * self.amplitude.reshape(shape))
 
-    def slope(self, step: Array) -> Array:
-        """(b, m, p) change of the expectations with the goal's coordinates in the metric, at steps (b, p)."""
+    def line(self, step: Array) -> tuple[Array, Array, Array]:
+        """Expectations (b, m) at steps (b, p), variances (b, m) of an observation there, and slopes (b, m, p).
+
+        A slope is the change of the expectation with the goal's coordinates in the metric.
+        """
+        cross, mean, slope = self._line(step)
+        for L, one in zip(self.factors, cross, strict=True):
+            blas.dtrsv(L, one, lower=1, overwrite_x=1)
+        return mean, self._variance(np.vecdot(step, step), np.vecdot(cross, cross)), slope
+
+    def tangent(self, step: Array) -> tuple[Array, Array]:
+        """Expectations (b, m) at steps (b, p), and their slopes (b, m, p)."""
+        _, mean, slope = self._line(step)
+        return mean, slope
+
+    def _line(self, step: Array) -> tuple[Array, Array, Array]:
+        """Kernel (b, k) between steps and neighbours, expectations and slopes."""
         own = self.kernel
-        bend = (self.D @ step[..., None])[..., 0]
-        bend -= 0.5 * (self.squares + np.vecdot(step, step)[:, None])
-        bend = own.bend / own.reach**2 * np.exp(bend / own.reach**2)
-        bend, linear = self._with_change(bend), self._with_change(np.full_like(bend, own.linear))
-        weighted = self.alpha * (linear + bend)[..., None]
-        pull = (self.alpha * bend[..., None]).sum(axis=1)
-        return np.asarray(weighted.swapaxes(1, 2) @ self.D - pull[..., None] * step[:, None])
+        dots = (self.D @ step[..., None])[..., 0]
+        bend = dots - 0.5 * (self.squares + np.vecdot(step, step)[:, None])
+        bend /= own.reach**2
+        np.exp(bend, out=bend)
+        bend *= own.bend
+        dots *= own.linear
+        dots += own.constant
+        dots += bend
+        cross, pull = self._with_change(dots), self._with_change(bend)
+        pull /= own.reach**2
+        linear = pull + self._with_change(np.full(pull.shape[1], own.linear))
+        slope = (self.alpha * linear[..., None]).swapaxes(1, 2) @ self.D
+        slope -= (pull[:, None] @ self.alpha).swapaxes(1, 2) * step[:, None]
+        return cross, (cross[:, None] @ self.alpha)[:, 0], slope
 
     def of(self, which: Indices) -> LocalGP:
         """That near some of the points."""
@@ -160,11 +197,11 @@ class LocalGP:
 
 def _kernel(kernel: StepKernel, dots: Array, left: Array, right: Array) -> Array:
     """The kernel (b, a, k) of rows whose products (b, a, k) are used up and whose squared lengths are given."""
-    bend = dots / kernel.reach**2
-    bend -= (0.5 / kernel.reach**2) * left[..., None]
-    bend -= (0.5 / kernel.reach**2) * right[:, None]
+    half = 0.5 / kernel.reach**2
+    bend = dots * (2.0 * half)
+    bend -= (half * left - kernel.log_bend)[..., None]
+    bend -= (half * right)[:, None]
     np.exp(bend, out=bend)
-    bend *= kernel.bend
     dots *= kernel.linear
     dots += kernel.constant
     dots += bend

@@ -199,21 +199,22 @@ class OutcomeExplorer:
         Where a posterior is far from the mean, the model is fitted anew around it. Hence there are up to two parts,
         each with the rows that it is of.
         """
-        posterior = self._updated(means, spread, means, model)
-        far = np.abs(posterior.g - means).max(axis=1) > _REFIT
-        if not far.any():
-            yield np.arange(len(z)), posterior, model
-            return
-        if not far.all():
-            rows = np.flatnonzero(~far)
-            yield rows, posterior.of(rows), model.of(rows)
-        rows = np.flatnonzero(far)
-        near = self._model(z[rows], posterior.g[rows])
-        yield rows, self._updated(means[rows], spread[rows], posterior.g[rows], near), near
+        posterior = condition_within(means, spread, model.line(means), self.scales)
+        away = np.abs(posterior.g - means).max(axis=1)
+        near, far = np.flatnonzero(away <= _REFIT), np.flatnonzero(away > _REFIT)
+        if len(near):
+            local = model.of(near)
+            yield near, self._updated(means[near], spread[near], posterior.of(near), means[near], local), local
+        if len(far):
+            means, spread, start = means[far], spread[far], posterior.g[far]
+            anew = self._model(z[far], start)
+            posterior = condition_within(means, spread, anew.line(start), self.scales)
+            yield far, self._updated(means, spread, posterior, start, anew), anew
 
-    def _updated(self, means: Array, spread: Array, start: Array, model: OutcomeModel) -> Posterior:
-        """Updates repeated, each with the line at the goal before, until the goal moves no more."""
-        posterior = condition_within(means, spread, model.line(start), self.scales)
+    def _updated(
+        self, means: Array, spread: Array, posterior: Posterior, start: Array, model: OutcomeModel
+    ) -> Posterior:
+        """Updates repeated, each with the line at the goal before, until the goal moves no more; the first is done."""
         moving = np.flatnonzero(np.abs(posterior.g - start).max(axis=1) >= _STILL)
         for _ in range(1, self.settings.iterations):
             if not len(moving):

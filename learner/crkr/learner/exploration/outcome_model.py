@@ -10,7 +10,7 @@ global while all trials are among the nearest.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Sequence, Set
 from dataclasses import dataclass, replace
 from typing import Any, Final, final
 
@@ -76,7 +76,8 @@ class OutcomeModel:
     Attributes:
         centre: (b, p) goals that the fits were made at.
         entries: (m,) which outcome entries are modelled.
-        fits: Those of the entries, in order.
+        fits: For sets of entries that were observed in as many trials near by: their fit, for one set after another.
+        places: Where the entries are among all that the fits give.
         risky: Which states have refused goals near by.
         refusals: The model of these; None where there are none.
         one_sided: (m,) +1 or -1 for entries that may exceed or fall short of their target, else 0.
@@ -85,6 +86,7 @@ class OutcomeModel:
     centre: Array
     entries: Indices
     fits: tuple[LocalGP, ...]
+    places: tuple[Indices, ...]
     risky: Indices
     refusals: LocalGP | None
     one_sided: Array
@@ -112,23 +114,35 @@ class OutcomeModel:
         x = np.concatenate([z, GOAL_SHARE * goals], axis=1)
         p, count = goals.shape[1], min(settings.neighbours, MOST_NEIGHBOURS)
         kernel = _KERNELS[settings.model]
-        fits, together = [], []
+        fits, together, places = [], [], []
         risky, refusals = np.zeros(0, dtype=np.int64), None
-        for counted, sets in _sets(trials, groups, count):
-            near = _nearest(trials, x, [one[0] for one in sets], *counted)
-            for place, one in enumerate(sets):
-                D = _joined([found.D[place] for _, found in near])
-                if one == [trials.everything]:
-                    refused = _joined([part.refused[found.rows[place]] for part, found in near])
-                    risky, refusals = _refusals(D, refused, p, counted[1])
-                    continue
-                entries = np.concatenate([scales.groups[group] for group in one])
-                Y = _joined([part.Y[found.rows[place][:, :, None], entries] for part, found in near])
-                noise = kernel.noise + _SHARE_OF_SIZE * np.vecdot(Y, Y) / len(entries)
-                fits.append(LocalGP.fit(kernel, D, Y, p, noise, counted[1]))
-                together.append(entries)
+        parts = [trials] if trials.former is None else [trials, trials.former]
+        any_refused = any(part.any_refused for part in parts)
+        everywhere = {one for one in (*groups, trials.everything) if all(part.hidden[one] is None for part in parts)}
+        for counted, searched in _sets(trials, groups, everywhere, any_refused, count):
+            near = _nearest(trials, x, [one[0] for one in searched], *counted)
+            D = _joined([found.D for _, found in near])
+            if any_refused and searched[0][0] in everywhere:
+                refused = _joined([part.refused[found.rows[0]] for part, found in near], 1)
+                risky, refusals = _refusals(D[0], refused, p, counted[1])
+            first = int(searched[0] == [trials.everything])  # all trials are looked up for their refusals alone
+            sets = searched[first:]
+            if not sets:
+                continue
+            each = [np.concatenate([scales.groups[group] for group in one]) for one in sets]
+            widest = max(map(len, each))
+            Y, noise = np.zeros((len(sets), *D.shape[1:3], widest)), np.empty((len(sets), *D.shape[1:3]))
+            for place, entries in enumerate(each):
+                own = _joined([part.Y[found.rows[first + place][:, :, None], entries] for part, found in near], 1)
+                Y[place, ..., : len(entries)] = own
+                noise[place] = kernel.noise + _SHARE_OF_SIZE / len(entries) * np.vecdot(own, own)
+            D, Y, noise = (array.reshape(-1, *array.shape[2:]) for array in (D[first:], Y, noise))
+            fits.append(LocalGP.fit(kernel, D, Y, p, noise, counted[1]))
+            together += each
+            places.append(np.concatenate([place * widest + np.arange(len(own)) for place, own in enumerate(each)]))
         entries = np.concatenate(together)
-        return cls(goals, entries, tuple(fits), risky, refusals, scales.one_sided[entries])
+        one_sided = scales.one_sided[entries]
+        return cls(goals, entries, tuple(fits), tuple(places), risky, refusals, one_sided)
 
     def prospect(self, goals: Array) -> Prospect:
         """What goals (b, c, p) lead to."""
@@ -138,9 +152,18 @@ class OutcomeModel:
 
     def _expected(self, steps: Array) -> tuple[Array, Array]:
         """Expectations and variances (b, c, m) at steps (b, c, p)."""
-        parts = [fit.at(steps) for fit in self.fits]
-        o, variance = (np.concatenate(part, axis=-1) for part in zip(*parts, strict=True))
-        return o, variance
+        raw, variance = zip(*(fit.at(_for_each(steps, fit)) for fit in self.fits), strict=True)
+        return self._of_entries(raw), self._of_entries(variance)
+
+    def _of_entries(self, parts: Sequence[Array]) -> Array:
+        """(b, c, m) of what the fits gave (s b, c, *)."""
+        b, each = len(self.centre), []
+        for part, places in zip(parts, self.places, strict=True):
+            sets = part.reshape(-1, b, *part.shape[1:])
+            side_by_side = part if len(sets) == 1 else np.concatenate(list(sets), axis=-1)
+            whole = len(places) == side_by_side.shape[-1]
+            each.append(side_by_side if whole else side_by_side[..., places])
+        return each[0] if len(each) == 1 else np.concatenate(each, axis=-1)
 
     def executed(self, goals: Array) -> Array:
         """(b, c) log P(executed) of goals (b, c, p)."""
@@ -154,20 +177,20 @@ class OutcomeModel:
     def line(self, goals: Array) -> OutcomeLine:
         """The entries as straight lines at goals (b, p), and one more entry: to be executed."""
         steps = GOAL_SHARE * (goals - self.centre)
-        o, variance = self._expected(steps[:, None])
-        b, _, m = o.shape
-        p = goals.shape[1]
+        means, variances, slopes = zip(*(fit.line(_for_each(steps, fit)) for fit in self.fits), strict=True)
+        o, variance = self._of_entries(means), self._of_entries(variances)
+        J = self._of_entries([slope.swapaxes(1, 2) for slope in slopes]).swapaxes(1, 2)
+        (b, m), p = o.shape, goals.shape[1]
         all_o, all_J, R = np.zeros((b, m + 1)), np.zeros((b, m + 1, p)), np.ones((b, m + 1))
-        missed = self._missed(o[:, 0])
-        all_o[:, :m], R[:, :m] = missed, 1.0 + variance[:, 0]
-        J = np.concatenate([fit.slope(steps) for fit in self.fits], axis=1)
+        missed = self._missed(o)
+        all_o[:, :m], R[:, :m] = missed, 1.0 + variance
         all_J[:, :m] = np.where(((self.one_sided != 0) & (missed == 0))[..., None], 0.0, GOAL_SHARE * J)
         if self.refusals is not None:
-            r = self.refusals.mean(steps[self.risky, None])[:, 0, 0]
-            unsafe = r < _SAFE
+            r, slope = self.refusals.tangent(steps[self.risky])
+            unsafe = r[:, 0] < _SAFE
             rows = self.risky[unsafe]
-            all_o[rows, m] = r[unsafe] / _WIDTH
-            all_J[rows, m] = self.refusals.of(np.flatnonzero(unsafe)).slope(steps[rows])[:, 0] * (GOAL_SHARE / _WIDTH)
+            all_o[rows, m] = r[unsafe, 0] / _WIDTH
+            all_J[rows, m] = slope[unsafe, 0] * (GOAL_SHARE / _WIDTH)
         return OutcomeLine(goals, all_o, all_J, R)
 
     def of(self, which: Indices) -> OutcomeModel:
@@ -177,11 +200,18 @@ class OutcomeModel:
         places = np.flatnonzero(np.isin(self.risky, which)) if self.refusals is not None else self.risky
         risky = np.searchsorted(which, self.risky[places])
         refusals = self.refusals.of(places) if self.refusals is not None and len(places) else None
-        fits = tuple(fit.of(which) for fit in self.fits)
-        return OutcomeModel(self.centre[which], self.entries, fits, risky, refusals, self.one_sided)
+        b = len(self.centre)
+        fits = tuple(fit.of((np.arange(0, len(fit.D), b)[:, None] + which).ravel()) for fit in self.fits)
+        return OutcomeModel(self.centre[which], self.entries, fits, self.places, risky, refusals, self.one_sided)
 
     def _missed(self, o: Array) -> Array:
         return np.where(self.one_sided * o > 0, 0.0, o)
+
+
+def _for_each(steps: Array, fit: LocalGP) -> Array:
+    """Steps (b, ...) once for each set of entries of a fit."""
+    sets = len(fit.D) // len(steps)
+    return steps if sets == 1 else np.concatenate([steps] * sets)
 
 
 def _refusals(D: Array, refused: NDArray[np.bool_], p: int, former: int) -> tuple[Indices, LocalGP | None]:
@@ -210,23 +240,21 @@ def _nearest(
     return [(part, nearest(part, x, groups, count)) for part, count in parts if part is not None and count]
 
 
-def _joined(parts: list[NDArray[Any]]) -> NDArray[Any]:
-    """Arrays (b, k, ...) joined along k."""
-    return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
+def _joined(parts: list[NDArray[Any]], axis: int = 2) -> NDArray[Any]:
+    """Arrays (s, b, k, ...) joined along k, or (b, k, ...) along axis 1."""
+    return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=axis)
 
 
 def _sets(
-    trials: ObservedTrials, groups: Sequence[int], count: int
+    trials: ObservedTrials, groups: Sequence[int], everywhere: Set[int], any_refused: bool, count: int
 ) -> Iterable[tuple[tuple[int, int], list[list[int]]]]:
-    """Numbers of neighbours, and for each the groups that have so many; those observed in the same trials together.
+    """Numbers of neighbours, and for each the groups that have so many; those observed in all trials together, first.
 
-    The group of all trials comes last where a goal was refused.
+    The group of all trials stands for them where a goal was refused and no other group was always observed.
     """
-    parts = [trials] if trials.former is None else [trials, trials.former]
-    everywhere = [group for group in groups if all(part.hidden[group] is None for part in parts)]
-    together = [everywhere] if everywhere else []
+    whole = [group for group in groups if group in everywhere]
+    together = [whole] if whole else [[trials.everything]] if any_refused else []
     sets: dict[tuple[int, int], list[list[int]]] = {}
-    refused = [[trials.everything]] if any(part.any_refused for part in parts) else []
-    for one in together + [[group] for group in groups if group not in everywhere] + refused:
+    for one in together + [[group] for group in groups if group not in everywhere]:
         sets.setdefault(_counted(trials, one[0], count), []).append(one)
     return sets.items()

@@ -79,6 +79,8 @@ class Posterior:
 
     def of(self, which: Indices) -> Posterior:
         """That at some of the states."""
+        if len(which) == len(self.g):
+            return self
         return Posterior(*(part[which] for part in (self.g, self.spread, self.J, self.G, self.R)))
 
     def put(self, which: Indices, other: Posterior) -> None:

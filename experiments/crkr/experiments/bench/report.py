@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import sqlite3
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing
+from io import FileIO
 from itertools import count
 from pathlib import Path
 from typing import Any, Final
@@ -39,7 +41,8 @@ def measure(directory: Path, database: str | None = None) -> Iterator[Measuremen
         yield from _alone(task, bare, echo, stack.enter_context(closing(_bare_log(directory))))
         yield _in_flight(bare, echo)
         if database is not None:
-            yield from _shared(stack.enter_context(running_server(database)), task, bare)
+            synced = stack.enter_context((directory / "synced").open("wb", buffering=0))
+            yield from _shared(stack.enter_context(running_server(database)), task, bare, synced)
 
 
 def _alone(task: Task, bare: BareQuerier, echo: BareQuerier, log: sqlite3.Connection) -> Iterator[Measurement]:
@@ -72,8 +75,11 @@ def _in_flight(bare: BareQuerier, echo: BareQuerier) -> Measurement:
     return ratio(what, medians, "report", "echo", 0.1, at_least=True, unit="/s")
 
 
-def _shared(client: Client, task: Task, bare: BareQuerier) -> Iterator[Measurement]:
-    """A server with its log in a database beside the one with a file, in turns."""
+def _shared(client: Client, task: Task, bare: BareQuerier, synced: FileIO) -> Iterator[Measurement]:
+    """A server with its log in a database beside the one with a file, in turns, and beside a page synced to the disk.
+
+    A disk that allows so many syncs a second answers at once or late, so that each comes first as often as last.
+    """
     shared = client.create_task(workload.bench_spec())
     workload.fill(shared, 500)
     state, goal = workload.states(1)[0], np.zeros(workload.P)
@@ -82,8 +88,12 @@ def _shared(client: Client, task: Task, bare: BareQuerier) -> Iterator[Measureme
             name: lambda one=one: one.report(state=state, goal=goal, cost=0.5, success=False, worker="bench")  # type: ignore[misc]  # the default binds the loop's value
             for name, one in (("PostgreSQL", shared), ("SQLite", task))
         }
-        times = {name: p50(found) for name, found in in_turns(calls, 800, 1).items()}
-        yield ratio("Task.report p50, PostgreSQL / SQLite", times, "PostgreSQL", "SQLite", 1.5)
+        calls["sync"] = lambda: _sync(synced)
+        orders = list(calls), list(calls)[::-1]
+        turns = [in_turns({name: calls[name] for name in order}, 200, 1) for order in orders * 2]
+        times = {f"{name} us": p50(np.concatenate([turn[name] for turn in turns])) for name in calls}
+        value = times["PostgreSQL us"] / times["SQLite us"]
+        yield Measurement("Task.report p50, PostgreSQL / SQLite", value, 1.5, behind=times)
         rates: dict[str, list[float]] = {"PostgreSQL": [], "SQLite": []}
         numbers = count(4 * 10**6)
         for _ in range(6):
@@ -92,6 +102,12 @@ def _shared(client: Client, task: Task, bare: BareQuerier) -> Iterator[Measureme
     medians = {name: float(np.median(found)) for name, found in rates.items()}
     what = "reports/s, 64 in flight, PostgreSQL / SQLite"
     yield ratio(what, medians, "PostgreSQL", "SQLite", 0.5, at_least=True, unit="/s")
+
+
+def _sync(file: FileIO) -> None:
+    file.seek(0)
+    file.write(bytes(8192))
+    os.fdatasync(file.fileno())
 
 
 def _bare_log(directory: Path) -> sqlite3.Connection:

@@ -5,20 +5,17 @@ import signal
 import socket
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 from uuid import uuid4
 
 import pytest
 import zenoh
 from hypothesis import HealthCheck, settings
 from postgres import Postgres, running_postgres
-from shared_server import SERVER_PYTHON
+from processes import SERVER_PYTHON, Processes, RunningServer
 
 # Property tests are about values, not about time: a busy machine is no failure.
 settings.register_profile("values", deadline=None, max_examples=60, suppress_health_check=[HealthCheck.too_slow])
@@ -32,18 +29,6 @@ signal.signal(signal.SIGHUP, signal.SIG_DFL)
 INFO = "crkr/@v1/rpc/info"
 READY_WITHIN_S = 60.0
 GONE_WITHIN_S = 60.0
-PATIENCE_S = 60.0
-
-
-@dataclass(frozen=True, slots=True)
-class RunningServer:
-    """A `crkr server` process that answers."""
-
-    endpoint: str
-    port: int
-    data: Path | str
-    log: Path
-    process: subprocess.Popen[bytes]
 
 
 def unused_port() -> int:
@@ -92,7 +77,7 @@ def running_server(data: Path | str, log: Path, port: int, *options: str) -> Ite
     command = [SERVER_PYTHON, "-m", "crkr.client", "server", "--listen", endpoint, "--data", str(data), *options]
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
     with log.open("ab") as sink, subprocess.Popen(command, stdout=sink, stderr=sink, env=environment) as process:
-        server = RunningServer(endpoint, port, data, log, process)
+        server = RunningServer(endpoint, port, Path(data), log, process)
         try:
             wait_until_ready(server)
             yield server
@@ -109,53 +94,6 @@ def stop(process: subprocess.Popen[bytes]) -> None:
     except subprocess.TimeoutExpired:
         process.kill()
         pytest.fail(f"process {process.pid} did not end within {GONE_WITHIN_S} s of SIGTERM")
-
-
-def wait_until(look: Callable[[], Any], log: Path | None = None) -> Any:
-    """What `look` gives as soon as that is true; fails after a long patience: speed is not the question."""
-    deadline, pause = time.monotonic() + PATIENCE_S, threading.Event()
-    while not (found := look()):
-        if time.monotonic() > deadline:
-            pytest.fail(f"waited in vain; the log says:\n{log.read_text() if log else ''}")
-        pause.wait(0.02)
-    return found
-
-
-def children(pid: int) -> list[int]:
-    """Processes that a process has started and that still run."""
-    try:
-        return [int(word) for word in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
-    except FileNotFoundError:
-        return []
-
-
-def descendants(pid: int) -> list[int]:
-    """Children, their children, and so on."""
-    return [each for child in children(pid) for each in [child, *descendants(child)]]
-
-
-def command_line(pid: int) -> str:
-    """Words of a process; empty when it is gone."""
-    try:
-        return Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").decode()
-    except (FileNotFoundError, ProcessLookupError):
-        return ""
-
-
-def running(pids: list[int]) -> list[int]:
-    """Those of the processes that still run; one that only waits to be collected does not."""
-    return [pid for pid in pids if command_line(pid)]
-
-
-@dataclass(frozen=True, slots=True)
-class Processes:
-    """What tests ask about processes and time."""
-
-    wait_until: Callable[..., Any] = wait_until
-    children: Callable[[int], list[int]] = children
-    descendants: Callable[[int], list[int]] = descendants
-    running: Callable[[list[int]], list[int]] = running
-    command_line: Callable[[int], str] = command_line
 
 
 @pytest.fixture(scope="session")

@@ -10,7 +10,7 @@ from typing import Any
 import msgpack
 import pytest
 import zenoh
-from shared_server import shared_server
+from processes import shared_server
 
 CODEC = "application/msgpack"
 

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from processes import Processes
 from small_tasks import practise, run, specification
 
 from crkr.client import AsyncClient
@@ -77,7 +78,7 @@ def test_a_subscription_ends_with_its_client(shared_endpoint: str) -> None:
 
 
 def test_one_client_serves_loops_one_after_another(
-    start_server: Callable[..., Any], caplog: pytest.LogCaptureFixture, processes: Any
+    start_server: Callable[..., Any], caplog: pytest.LogCaptureFixture, processes: Processes
 ) -> None:
     """Also after a loop that ended while calls were in progress and others waited for their turn."""
     server = start_server()
@@ -157,7 +158,7 @@ def test_closing_does_not_wait_for_the_threads_of_the_loop(shared_endpoint: str)
     run(program())
 
 
-def test_a_forgotten_client_ends_its_threads(shared_endpoint: str, processes: Any) -> None:
+def test_a_forgotten_client_ends_its_threads(shared_endpoint: str, processes: Processes) -> None:
     before = set(threading.enumerate())
 
     async def program() -> None:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from processes import RunningServer
 
 from crkr.client import Client
 
@@ -44,7 +45,7 @@ def test_a_robot_goes_on_without_a_network(
     assert second.endswith("None")
 
 
-def test_the_three_ways_from_python(server: Any, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_three_ways_from_python(server: RunningServer, capsys: pytest.CaptureFixture[str]) -> None:
     run_program("python.md", server.endpoint)
     samples, notice, learned = capsys.readouterr().out.splitlines()
     assert samples == "{'trial': 3, 'demonstration': 0, 'evaluation': 0, 'failed': 0}"

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from named_threads import raise_in, thread_named
+from processes import Processes
 from putting import IDS, PROBES, assert_alike, practise, specification
 
 from crkr.client import Client, Task
@@ -115,7 +116,7 @@ def test_times_that_make_no_sense_are_refused(client: Client, name: str, value: 
         task.mirror(**{name: value})
 
 
-def test_a_copy_that_must_be_young_is_asked_about_often_enough(client: Client, processes: Any) -> None:
+def test_a_copy_that_must_be_young_is_asked_about_often_enough(client: Client, processes: Processes) -> None:
     task = client.create_task(specification())
     practise(task, 5, 3)
     with task.mirror(every_s=1000.0, pause_s=1000.0, max_age_s=0.3) as mirror:
@@ -198,7 +199,7 @@ def complaint(mirror: Mirror) -> str:
 
 
 def test_a_refresh_ends_by_its_deadline_while_another_waits_for_a_server_that_stands_still(
-    start_server: Callable[..., Any], processes: Any
+    start_server: Callable[..., Any], processes: Processes
 ) -> None:
     server = start_server()
     with Client(server.endpoint, timeout_s=PATIENCE_S) as client:
@@ -220,7 +221,7 @@ def test_a_refresh_ends_by_its_deadline_while_another_waits_for_a_server_that_st
 
 @pytest.mark.parametrize("order", list(itertools.permutations(("client", "mirror", "outbox"))))
 def test_client_mirror_and_outbox_may_be_closed_in_any_order(
-    shared_endpoint: str, tmp_path: Path, processes: Any, order: tuple[str, ...]
+    shared_endpoint: str, tmp_path: Path, processes: Processes, order: tuple[str, ...]
 ) -> None:
     client = Client(shared_endpoint)
     task = client.create_task(specification())
@@ -251,7 +252,7 @@ class Panic(BaseException):
 
 @pytest.mark.parametrize("raised", [RecursionError, MemoryError, SystemExit, Panic])
 def test_whatever_is_raised_in_its_thread_is_told_and_it_goes_on(
-    client: Client, processes: Any, raised: type[BaseException]
+    client: Client, processes: Processes, raised: type[BaseException]
 ) -> None:
     task = client.create_task(specification())
     practise(task, 10, 1)

@@ -7,6 +7,7 @@ from uuid import UUID
 
 import numpy as np
 import pytest
+from processes import Processes
 from putting import IDS, PROBES, assert_alike, practise, specification
 
 from crkr.client import Client
@@ -24,7 +25,7 @@ PATIENCE_S = 20.0
 
 
 def test_it_answers_while_there_is_no_server_and_catches_up_with_the_next_one(
-    start_server: Callable[..., Any], free_port: int, processes: Any
+    start_server: Callable[..., Any], free_port: int, processes: Processes
 ) -> None:
     first = start_server(port=free_port)
     with Client(first.endpoint) as client:

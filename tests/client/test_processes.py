@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
+from processes import Processes
 
 MakePeer = Callable[..., Any]
 PATIENCE_S = 60.0  # no promise, just no hang
@@ -74,7 +75,7 @@ def test_a_call_in_a_daemon_thread_does_not_keep_the_process(make_peer: MakePeer
     assert finish(process)[0] == 0
 
 
-def test_an_interrupt_ends_a_call_in_progress(make_peer: MakePeer, processes: Any) -> None:
+def test_an_interrupt_ends_a_call_in_progress(make_peer: MakePeer, processes: Processes) -> None:
     peer = make_peer([{}, "hold"])
     process = start("client.task('a').refit()", peer.endpoint)
     assert process.stdout is not None

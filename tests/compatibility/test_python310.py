@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from processes import RunningServer
 
 REPOSITORY = Path(__file__).parents[2]
 PYTHON310 = REPOSITORY / "build" / "python310" / "bin" / "python"
@@ -71,7 +72,7 @@ def test_it_is_told_the_same_as_the_client_of_this_python(start_server: Any, tmp
 
 
 @needs_it
-def test_its_commands_work_and_those_of_other_parts_say_what_they_need(server: Any) -> None:
+def test_its_commands_work_and_those_of_other_parts_say_what_they_need(server: RunningServer) -> None:
     def crkr(*words: str) -> subprocess.CompletedProcess[str]:
         environment = {**os.environ, "CRKR_CONNECT": server.endpoint}
         command = [str(PYTHON310), "-m", "crkr.client", *words]

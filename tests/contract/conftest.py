@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from shared_server import shared_server
+from processes import shared_server
 
 from crkr.client import Client
 

@@ -8,6 +8,7 @@ import msgpack
 import numpy as np
 import pytest
 import zenoh
+from processes import RunningServer
 
 from crkr.client import Client, Task
 from crkr.protocol import Geom, StoredTrial, TaskSpec, Trial, geoms_to_wire
@@ -98,14 +99,14 @@ def message(scene: tuple[Geom, ...]) -> Message:
 
 
 @pytest.fixture
-def crane(server: Any, spec: TaskSpec) -> Iterator[Task]:
+def crane(server: RunningServer, spec: TaskSpec) -> Iterator[Task]:
     """The task at a real server."""
     with Client(server.endpoint) as client:
         yield client.create_task(spec)
 
 
 @pytest.fixture
-def publish(server: Any) -> Iterator[Callable[[str, dict[str, Any]], None]]:
+def publish(server: RunningServer) -> Iterator[Callable[[str, dict[str, Any]], None]]:
     """Publishes as any language could: plain Zenoh and msgpack; the first call waits until somebody subscribes."""
     config = zenoh.Config()
     config.insert_json5("mode", '"client"')

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from processes import Processes, RunningServer
 
 from crkr.client import Task
 
@@ -62,7 +63,7 @@ def report(task: Task, count: int) -> None:
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_completes_the_recording_and_ends_the_page(
-    crane: Task, server: Any, watch: Watch, tmp_path: Path, number: signal.Signals
+    crane: Task, server: RunningServer, watch: Watch, tmp_path: Path, number: signal.Signals
 ) -> None:
     report(crane, 120)
     file = tmp_path / "run.rrd"
@@ -85,7 +86,7 @@ def test_a_signal_completes_the_recording_and_ends_the_page(
     assert "Lift loads." in guide[0]
 
 
-def test_a_closed_terminal_completes_the_recording(crane: Task, server: Any, tmp_path: Path) -> None:
+def test_a_closed_terminal_completes_the_recording(crane: Task, server: RunningServer, tmp_path: Path) -> None:
     report(crane, 120)
     file = tmp_path / "run.rrd"
     words = ["watch", "crane", "--connect", server.endpoint, "--save", str(file), "--log-level", "info"]
@@ -116,7 +117,7 @@ def batches(file: Path, entity: str) -> list[Any]:
     return [chunk.to_record_batch() for chunk in reader.stream(store=store).filter(content=entity).to_chunks()]
 
 
-def test_without_a_terminal_the_tables_become_lines(crane: Task, server: Any, watch: Watch) -> None:
+def test_without_a_terminal_the_tables_become_lines(crane: Task, server: RunningServer, watch: Watch) -> None:
     report(crane, 7)
     process = watch("--terminal", "--connect", server.endpoint)
     assert "trials 7" in line_with(process.stdout, "trials")
@@ -144,7 +145,7 @@ def test_a_signal_while_it_waits_for_a_server_ends_it(watch: Watch, free_port: i
         assert (process.returncode, rest) == (0, "")
 
 
-def test_a_second_ctrl_c_ends_the_process_at_once(watch: Watch, free_port: int, processes: Any) -> None:
+def test_a_second_ctrl_c_ends_the_process_at_once(watch: Watch, free_port: int, processes: Processes) -> None:
     """It is in the middle of a question that goes on for ten minutes."""
     endpoint = f"tcp/127.0.0.1:{free_port}"
     process = watch("--terminal", "--timeout", "600", "--connect", endpoint, "--log-level", "info")
@@ -227,7 +228,7 @@ def test_a_run_without_a_task_leaves_no_recording(watch: Watch, tmp_path: Path, 
     ids=lambda environment: next(iter(environment)),
 )
 def test_reruns_environment_variables_do_not_change_a_recording(
-    crane: Task, server: Any, watch: Watch, tmp_path: Path, environment: dict[str, str]
+    crane: Task, server: RunningServer, watch: Watch, tmp_path: Path, environment: dict[str, str]
 ) -> None:
     report(crane, 30)
     file = tmp_path / "run.rrd"

@@ -8,6 +8,7 @@ from types import FrameType
 from typing import Any
 
 import pytest
+from processes import RunningServer
 
 from crkr.client import Client, Task
 from crkr.client.cli.stop_request import StopRequest
@@ -95,7 +96,7 @@ def report(task: Task, count: int) -> list[int]:
     return list(receipt.seqs)
 
 
-def test_earlier_trials_are_read_page_by_page(server: Any, crane: Task) -> None:
+def test_earlier_trials_are_read_page_by_page(server: RunningServer, crane: Task) -> None:
     for _ in range(3):
         report(crane, 700)
     witness, _ = watched(server.endpoint, lambda seen, _: seen.progress.trials == 2100 and bool(seen.statuses))
@@ -104,7 +105,7 @@ def test_earlier_trials_are_read_page_by_page(server: Any, crane: Task) -> None:
 
 
 def test_publications_arrive_as_pictures_and_odd_ones_do_no_harm(
-    server: Any, crane: Task, publish: Publish, message: Message
+    server: RunningServer, crane: Task, publish: Publish, message: Message
 ) -> None:
     seqs = report(crane, 3)
     odd = [{}, {"seq": "x"}, message(seqs[0], trace={"time": 3}), message(seqs[0], scene=[7])]
@@ -159,7 +160,7 @@ def pollers() -> list[threading.Thread]:
     return [thread for thread in threading.enumerate() if thread.name == "crkr-poller"]
 
 
-def test_a_question_to_a_silent_server_does_not_delay_the_end(server: Any, crane: Task) -> None:
+def test_a_question_to_a_silent_server_does_not_delay_the_end(server: RunningServer, crane: Task) -> None:
     report(crane, 1)
     server.process.send_signal(signal.SIGSTOP)
     try:
@@ -184,7 +185,7 @@ def test_a_missing_server_is_waited_for_and_then_named(free_port: int) -> None:
     assert str(free_port) in said[0]
 
 
-def test_a_missing_task_is_waited_for_and_then_named(server: Any) -> None:
+def test_a_missing_task_is_waited_for_and_then_named(server: RunningServer) -> None:
     said: list[str] = []
     with Client(server.endpoint) as client, pytest.raises(UnknownTask, match="task 'crane' did not appear"):
         wait_for_task(client, "crane", 0.5, StopRequest(), said.append)
@@ -224,7 +225,7 @@ def signalled_at(moment: int, client: Client) -> int:
 
 
 @pytest.mark.usefixtures("alarm")
-def test_a_signal_at_any_line_of_python_between_two_questions_ends_the_wait(server: Any) -> None:
+def test_a_signal_at_any_line_of_python_between_two_questions_ends_the_wait(server: RunningServer) -> None:
     with Client(server.endpoint) as client:
         assert [signalled_at(moment, client) for moment in range(1, 13)] == list(range(1, 13))
 

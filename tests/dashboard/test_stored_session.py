@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from processes import RunningServer
 from rerun.chunk import RrdReader
 
 from crkr.client import Task
@@ -145,7 +146,7 @@ def numbers(file: Path, entity: str) -> list[float]:
     return [row[0] for rows in found for row in rows]
 
 
-def test_a_stopped_servers_run_is_recorded_whole(server: Any, crane: Task, tmp_path: Path) -> None:
+def test_a_stopped_servers_run_is_recorded_whole(server: RunningServer, crane: Task, tmp_path: Path) -> None:
     fill(crane)
     status = crane.status()
     server.process.send_signal(signal.SIGTERM)
@@ -163,7 +164,7 @@ def test_a_stopped_servers_run_is_recorded_whole(server: Any, crane: Task, tmp_p
     assert numbers(file, "/learner/eligible")[-1] == status["eligible"] == 45
 
 
-def test_the_final_tables_are_printed_beside_a_server_that_goes_on(server: Any, crane: Task) -> None:
+def test_the_final_tables_are_printed_beside_a_server_that_goes_on(server: RunningServer, crane: Task) -> None:
     fill(crane)
     done = run(server.data, "--terminal")
     assert done.returncode == 0, done.stderr
@@ -181,7 +182,7 @@ def test_the_final_tables_are_printed_beside_a_server_that_goes_on(server: Any, 
     assert crane.report(state=[1.0], goal=[0.1], cost=0.5, success=True).accepted == 1
 
 
-def test_the_page_stays_until_it_is_stopped(server: Any, crane: Task, tmp_path: Path) -> None:
+def test_the_page_stays_until_it_is_stopped(server: RunningServer, crane: Task, tmp_path: Path) -> None:
     fill(crane)
     command = [sys.executable, "-m", "crkr.client", "watch", "crane", "--replay", str(server.data)]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
@@ -207,7 +208,7 @@ def test_the_page_stays_until_it_is_stopped(server: Any, crane: Task, tmp_path: 
     ],
 )
 def test_an_error_is_one_line_and_status_1(
-    server: Any, crane: Task, tmp_path: Path, task: str, directory: str, says: str
+    server: RunningServer, crane: Task, tmp_path: Path, task: str, directory: str, says: str
 ) -> None:
     where = server.data if directory == "data" else tmp_path / "empty" / directory
     (tmp_path / "empty").mkdir()

@@ -13,6 +13,7 @@ import nbclient
 import nbformat
 import pytest
 from PIL import Image
+from processes import RunningServer
 from typer.main import get_command
 
 from crkr.client.cli.subcommands import build
@@ -46,7 +47,7 @@ def crkr(*words: str, folder: Path, endpoint: str) -> subprocess.CompletedProces
     return subprocess.run(command, capture_output=True, text=True, timeout=90, check=False, cwd=folder, env=environment)
 
 
-def test_the_tutorial_leads_from_nothing_to_a_learned_skill_and_its_page(server: Any, tmp_path: Path) -> None:
+def test_the_tutorial_leads_from_nothing_to_a_learned_skill_and_its_page(server: RunningServer, tmp_path: Path) -> None:
     tutorial = REPOSITORY / "docs" / "tutorial.md"
     (skill,) = blocks(tutorial, "python")
     assert len([line for line in skill.splitlines() if line.strip()]) <= 40
@@ -76,7 +77,7 @@ def test_the_tutorial_leads_from_nothing_to_a_learned_skill_and_its_page(server:
 
 
 def test_a_person_labels_a_robots_trials(
-    server: Any, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    server: RunningServer, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     answers = iter(["1.0", "h", "2.0", "m", "q"])
     monkeypatch.setattr("builtins.input", lambda _: next(answers))

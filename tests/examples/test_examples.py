@@ -8,6 +8,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from processes import RunningServer
+
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
@@ -20,7 +22,7 @@ def run(name: str, endpoint: str) -> str:
     return result.stdout
 
 
-def test_the_quickstart_learns_to_hit_from_three_demonstrations(server: Any) -> None:
+def test_the_quickstart_learns_to_hit_from_three_demonstrations(server: RunningServer) -> None:
     before, after = (int(share) for share in re.findall(r"(\d+)%", run("quickstart.py", server.endpoint)))
     assert before <= 70
     assert after >= 95
@@ -34,7 +36,7 @@ def test_the_quickstart_says_in_one_line_that_there_is_no_server(free_port: int)
     assert re.fullmatch(rf"error: no server at tcp/127.0.0.1:{free_port} within .* s; start .*\n", result.stderr)
 
 
-def test_the_specification_file_makes_the_task_that_the_help_asks(server: Any) -> None:
+def test_the_specification_file_makes_the_task_that_the_help_asks(server: RunningServer) -> None:
     def crkr(*words: str) -> str:
         command = [sys.executable, "-m", "crkr.client", *words, "--connect", server.endpoint]
         result = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
@@ -47,7 +49,7 @@ def test_the_specification_file_makes_the_task_that_the_help_asks(server: Any) -
     assert "3.4" in crkr("predict", "throw", "--state", "0.3 1.2")
 
 
-def test_a_reader_without_our_package_holds_a_full_conversation(server: Any) -> None:
+def test_a_reader_without_our_package_holds_a_full_conversation(server: RunningServer) -> None:
     imported = {
         name.split(".")[0]
         for node in ast.walk(ast.parse((EXAMPLES / "plain_client.py").read_text()))
@@ -81,7 +83,7 @@ def test_a_reader_without_our_package_holds_a_full_conversation(server: Any) -> 
     )
 
 
-def test_a_skill_of_ones_own_learns_from_misses_too(server: Any) -> None:
+def test_a_skill_of_ones_own_learns_from_misses_too(server: RunningServer) -> None:
     def crkr(*words: str) -> dict[str, Any]:
         command = [sys.executable, "-m", "crkr.client", *words, "--json", "--connect", server.endpoint]
         result = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False, cwd=EXAMPLES.parent)

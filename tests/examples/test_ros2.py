@@ -4,10 +4,10 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 import zenoh
+from processes import RunningServer
 
 from crkr.client import Client
 
@@ -49,7 +49,7 @@ def router(free_port: int) -> Iterator[str]:
 
 
 @pytest.fixture
-def node(server: Any, router: str) -> Iterator[str]:
+def node(server: RunningServer, router: str) -> Iterator[str]:
     """The router of a node that serves the task throw."""
     command = [sys.executable, "-m", "crkr.client", "create", str(FOLDER / "throw.toml"), "--connect", server.endpoint]
     subprocess.run(command, check=True, capture_output=True, timeout=60)
@@ -70,7 +70,7 @@ def python(*words: str) -> str:
     return done.stdout
 
 
-def test_a_robots_node_learns_to_throw(server: Any, node: str) -> None:
+def test_a_robots_node_learns_to_throw(server: RunningServer, node: str) -> None:
     said = python(str(FOLDER / "robot.py"), "throw", "60", "--router", node)
     first, last = (int(word.rstrip("%,\n")) for word in said.split() if "%" in word)
     assert first < 80
@@ -82,7 +82,7 @@ def test_a_robots_node_learns_to_throw(server: Any, node: str) -> None:
     assert all(trial.outcome is not None for trial in trials)
 
 
-def test_what_cannot_be_done_is_said_and_what_comes_twice_is_stored_once(server: Any, node: str) -> None:
+def test_what_cannot_be_done_is_said_and_what_comes_twice_is_stored_once(server: RunningServer, node: str) -> None:
     wrong, stored, again, other, outside, failed = python("-c", ASK, str(FOLDER), node).splitlines()
     assert wrong.startswith("False ")
     assert "state" in wrong

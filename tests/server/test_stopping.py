@@ -11,6 +11,7 @@ from typing import Any, NoReturn
 import msgpack
 import pytest
 import zenoh
+from processes import Processes
 
 from crkr.protocol import TaskSpec, task_key
 from crkr.server.inspection.synthetic_log import fill
@@ -56,7 +57,7 @@ def test_what_comes_after_the_order_to_stop_is_told_so(
 
 
 def test_what_still_waits_when_the_patience_ends_is_told_so(
-    router: tuple[zenoh.Session, str], connect: Callable[[str], Ask], processes: Any
+    router: tuple[zenoh.Session, str], connect: Callable[[str], Ask], processes: Processes
 ) -> None:
     session, endpoint = router
     working, go_on = threading.Event(), threading.Event()
@@ -164,7 +165,7 @@ def test_a_server_under_nohup_goes_on_when_the_terminal_is_closed(
 
 
 def test_a_signal_while_a_long_log_is_read_ends_the_server_then(
-    free_port: int, tmp_path: Path, reach: dict[str, Any], processes: Any
+    free_port: int, tmp_path: Path, reach: dict[str, Any], processes: Processes
 ) -> None:
     data = tmp_path / "data"
     fill(data, TaskSpec.from_dict(reach), 40_000)

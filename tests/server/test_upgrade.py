@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from processes import Processes
 
 from crkr.protocol import TaskSpec
 from crkr.server.inspection.synthetic_log import fill
@@ -47,7 +48,7 @@ def started(
     tmp_path: Path,
     connect: Callable[[str], Ask],
     reach: dict[str, Any],
-    processes: Any,
+    processes: Processes,
 ) -> Iterator[tuple[Ask, Callable[[], str]]]:
     """Questions to a server with one task that runs from there, and how to end it and get its log."""
     endpoint, log = f"tcp/127.0.0.1:{free_port}", tmp_path / "log"
@@ -142,7 +143,7 @@ def test_the_process_that_fits_outlives_an_upgrade(
 
 
 def test_the_rows_of_a_long_log_are_not_looked_over_by_another_version(
-    installed: Path, free_port: int, tmp_path: Path, reach: dict[str, Any], processes: Any
+    installed: Path, free_port: int, tmp_path: Path, reach: dict[str, Any], processes: Processes
 ) -> None:
     fill(tmp_path / "data", TaskSpec.from_dict(reach), 6000)
     command = [sys.executable, "-S", "-P", "-m", "crkr.client", "server", "--data", str(tmp_path / "data")]

@@ -6,6 +6,7 @@ from typing import Any
 import msgpack
 import pytest
 import zenoh
+from processes import Processes
 
 Ask = Callable[..., dict[str, Any]]
 MakeTrial = Callable[..., dict[str, Any]]
@@ -20,9 +21,9 @@ def task(ask: Ask) -> str:
 
 
 @pytest.fixture
-def until(processes: Any) -> Until:
+def until(processes: Processes) -> Until:
     """The first true answer."""
-    return processes.wait_until  # type: ignore[no-any-return]  # typed in conftest.py
+    return processes.wait_until
 
 
 def worker(ask: Ask, name: str) -> dict[str, Any]:

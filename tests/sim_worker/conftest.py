@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import pytest
+from processes import Processes
 
 from crkr.client import Client, Task
 
@@ -27,7 +28,7 @@ class Command:
 
     process: subprocess.Popen[str]
     log: Path
-    processes: Any
+    processes: Processes
 
     def finish(self) -> tuple[int, str, str]:
         """Exit status, standard output and standard error at its end."""
@@ -67,7 +68,7 @@ def environment() -> dict[str, str]:
 
 
 @contextmanager
-def commands(folder: Path, processes: Any) -> Iterator[StartCommand]:
+def commands(folder: Path, processes: Processes) -> Iterator[StartCommand]:
     """Starts commands; whatever still runs at the end is ended."""
     count = iter(range(100))
     with ExitStack() as stack:
@@ -92,7 +93,7 @@ def commands(folder: Path, processes: Any) -> Iterator[StartCommand]:
 
 
 @pytest.fixture
-def start_command(tmp_path: Path, processes: Any) -> Iterator[StartCommand]:
+def start_command(tmp_path: Path, processes: Processes) -> Iterator[StartCommand]:
     """Starts commands in the test's folder."""
     with commands(tmp_path, processes) as start:
         yield start
@@ -110,7 +111,7 @@ class FinishedRun:
 
 
 @pytest.fixture(scope="session")
-def shared_endpoint(tmp_path_factory: pytest.TempPathFactory, processes: Any) -> Iterator[str]:
+def shared_endpoint(tmp_path_factory: pytest.TempPathFactory, processes: Processes) -> Iterator[str]:
     """A server that tests share, each with a task of its own."""
     folder = tmp_path_factory.mktemp("server")
     with socket.socket() as probe:
@@ -123,7 +124,7 @@ def shared_endpoint(tmp_path_factory: pytest.TempPathFactory, processes: Any) ->
 
 @pytest.fixture(scope="session")
 def finished_run(
-    shared_endpoint: str, tmp_path_factory: pytest.TempPathFactory, processes: Any
+    shared_endpoint: str, tmp_path_factory: pytest.TempPathFactory, processes: Processes
 ) -> Iterator[FinishedRun]:
     """Two workers, 120 trials, ten fixed contexts, seed 1."""
     with commands(tmp_path_factory.mktemp("finished"), processes) as start, Client(shared_endpoint) as client:

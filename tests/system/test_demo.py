@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from processes import Processes
 
 SKILLS = Path(__file__).parents[1] / "sim_worker"
 PATIENCE_S = 60.0
@@ -26,7 +27,7 @@ class Demo:
 
     process: subprocess.Popen[str]
     log: Path
-    processes: Any
+    processes: Processes
 
     def finish(self) -> tuple[int, dict[str, Any], str]:
         """Exit status, its JSON object (empty if it printed none) and its standard error."""
@@ -56,7 +57,7 @@ def named(demo: Demo, text: str) -> list[int]:
 
 
 @pytest.fixture
-def start_demo(tmp_path: Path, processes: Any) -> Iterator[Callable[..., Demo]]:
+def start_demo(tmp_path: Path, processes: Processes) -> Iterator[Callable[..., Demo]]:
     """Starts demos in an empty folder; what still runs at the end of the test is ended."""
     count = iter(range(100))
     with ExitStack() as stack:

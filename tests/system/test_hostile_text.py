@@ -14,6 +14,7 @@ from uuid import UUID
 import msgpack
 import pytest
 import zenoh
+from processes import Processes, RunningServer
 
 ESCAPES = "\x1b]52;c;eA==\x1b\\\x1b[2J\x9b31m\x7f\u202e\u2028"
 NAME = f"[red]evil[/red][/]{ESCAPES}"
@@ -87,7 +88,7 @@ def trial(number: int) -> dict[str, Any]:
 
 
 @pytest.fixture
-def endpoint(server: Any, processes: Any) -> Iterator[str]:
+def endpoint(server: RunningServer, processes: Processes) -> Iterator[str]:
     """A server whose task, trials and workers have such names."""
     with zenoh.open(configuration("client", server.endpoint)) as session:
         ask(session, "rpc/create_task", SPEC)
@@ -122,7 +123,7 @@ def test_commands_write_no_names_of_others_that_act_on_a_terminal(endpoint: str,
     assert "[red]evil[/red][/]" in written  # markup is nothing but text
 
 
-def test_watch_prints_no_names_of_others_that_act_where_nobody_watches(endpoint: str, server: Any) -> None:
+def test_watch_prints_no_names_of_others_that_act_where_nobody_watches(endpoint: str, server: RunningServer) -> None:
     command = [sys.executable, "-m", "crkr.client", "watch", "reach", "--terminal", "--connect", endpoint]
     with (
         zenoh.open(configuration("client", endpoint)) as session,
@@ -140,7 +141,7 @@ def test_watch_prints_no_names_of_others_that_act_where_nobody_watches(endpoint:
     assert acting(seen) == []
 
 
-def test_the_log_of_a_server_has_a_line_for_a_line(endpoint: str, server: Any) -> None:
+def test_the_log_of_a_server_has_a_line_for_a_line(endpoint: str, server: RunningServer) -> None:
     log = server.log.read_text()
     assert acting(log) == []
     assert [line for line in log.splitlines() if line.startswith(FORGED[1:20])] == []

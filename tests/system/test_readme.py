@@ -5,9 +5,9 @@ import re
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
+from processes import RunningServer
 
 README = Path(__file__).parents[2] / "README.md"
 ENDPOINT = "tcp/127.0.0.1:7447"  # the default, which another server may hold while this runs
@@ -26,7 +26,9 @@ def test_the_first_program_fits_the_first_screen() -> None:
     assert README.read_text().index("```python") < 2000
 
 
-def test_the_first_program_runs_beside_workers_that_learn(server: Any, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_first_program_runs_beside_workers_that_learn(
+    server: RunningServer, capsys: pytest.CaptureFixture[str]
+) -> None:
     workers = [
         "workers",
         "table-tennis",

@@ -16,6 +16,7 @@ from typing import Any
 import msgpack
 import pytest
 import zenoh
+from processes import Processes
 
 from crkr.client import Client
 from crkr.client.network.config import Connection
@@ -142,7 +143,7 @@ def test_a_client_that_does_not_agree_about_certificates_is_told_why_by_its_dead
     endpoint: str,
     keys: Path,
     tmp_path: Path,
-    processes: Any,
+    processes: Processes,
     authority: str,
     folder: str | None,
     host: str,

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from shared_server import SERVER_PYTHON
+from processes import SERVER_PYTHON
 
 from crkr.client.network.config import DEFAULT_ENDPOINT, Connection
 from crkr.protocol import Invalid

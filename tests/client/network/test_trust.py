@@ -13,6 +13,7 @@ import msgpack
 import numpy as np
 import pytest
 import zenoh
+from processes import Processes
 from putting import practise, specification
 
 from crkr.client import Client, Task
@@ -160,7 +161,7 @@ def test_a_server_that_restarts_is_believed_again(start_server: Any, free_port: 
 
 
 def test_behind_another_router_the_first_server_is_believed_until_it_is_gone(
-    start_server: Any, free_port: int, processes: Any
+    start_server: Any, free_port: int, processes: Processes
 ) -> None:
     """A router in between answers nothing itself, so that the server is known only by having answered first."""
     server = start_server()

@@ -16,6 +16,7 @@ import msgpack
 import numpy as np
 import pytest
 from named_threads import raise_in
+from processes import Processes
 from small_tasks import put, stored, task_spec
 
 from crkr.client import Client, Task
@@ -33,7 +34,7 @@ def task(shared_endpoint: str) -> Iterator[Task]:
 
 
 def test_a_server_killed_again_and_again_while_it_delivers_stores_each_trial_once(
-    start_server: Start, free_port: int, tmp_path: Path, processes: Any
+    start_server: Start, free_port: int, tmp_path: Path, processes: Processes
 ) -> None:
     server = start_server(port=free_port)
     with Client(server.endpoint, timeout_s=PATIENCE_S) as client:
@@ -142,7 +143,9 @@ def looked_at(endpoint: str, path: Path) -> str:
     return str(detail)
 
 
-def test_whatever_is_raised_in_its_thread_is_told_and_it_goes_on(task: Task, tmp_path: Path, processes: Any) -> None:
+def test_whatever_is_raised_in_its_thread_is_told_and_it_goes_on(
+    task: Task, tmp_path: Path, processes: Processes
+) -> None:
     with task.outbox(tmp_path / "box") as outbox:
         for count, raised in enumerate((MemoryError, SystemExit, type("Panic", (BaseException,), {})), start=1):
             raise_in(f"crkr-outbox-{task.name}", raised)
@@ -153,7 +156,7 @@ def test_whatever_is_raised_in_its_thread_is_told_and_it_goes_on(task: Task, tmp
 
 
 def test_another_task_of_the_same_name_is_given_nothing(
-    start_server: Start, free_port: int, tmp_path: Path, processes: Any
+    start_server: Start, free_port: int, tmp_path: Path, processes: Processes
 ) -> None:
     """Where a server comes back with other data: what fits by its numbers is still not meant for it."""
     server = start_server(port=free_port, data=tmp_path / "ours")
@@ -183,7 +186,7 @@ def test_another_task_of_the_same_name_is_given_nothing(
             assert stored(client.task("lob")) == ids
 
 
-def test_an_archived_task_puts_no_trial_aside(task: Task, tmp_path: Path, processes: Any) -> None:
+def test_an_archived_task_puts_no_trial_aside(task: Task, tmp_path: Path, processes: Processes) -> None:
     with task.outbox(tmp_path / "box") as outbox:
         put(outbox, 3)
         outbox.flush(PATIENCE_S)

@@ -49,7 +49,7 @@ def hostile(shared_endpoint: str) -> str:
 
 @pytest.fixture(scope="module")
 def shared_endpoint(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    from shared_server import shared_server
+    from processes import shared_server
 
     with shared_server(tmp_path_factory.mktemp("server")) as endpoint:
         yield endpoint

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 import rerun as rr
+from processes import Processes
 
 from crkr.dashboard.rerun_view import Recording
 
@@ -39,7 +40,7 @@ def test_every_run_is_a_separate_recording(tmp_path: Path) -> None:
     assert len(identities) == 2
 
 
-def test_the_recording_is_served_on_loopback_only(free_port: int, processes: Any) -> None:
+def test_the_recording_is_served_on_loopback_only(free_port: int, processes: Processes) -> None:
     recording = Recording((HOST, free_port), None)
 
     def hosts() -> set[str]:

@@ -18,7 +18,7 @@ from uuid import uuid4
 
 import pytest
 from browser import Browser
-from shared_server import shared_server
+from processes import Processes, RunningServer, shared_server
 
 from crkr.client import Client, Task
 from crkr.protocol import TaskSpec
@@ -52,7 +52,7 @@ def server(web: int, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
 
 
 @pytest.fixture
-def crane(server: Any, spec: TaskSpec) -> Iterator[Task]:
+def crane(server: RunningServer, spec: TaskSpec) -> Iterator[Task]:
     """A task of its own for each test that has trials in it."""
     with Client(server.endpoint) as client:
         yield client.create_task(replace(spec, name=f"crane-{uuid4()}"))
@@ -98,7 +98,7 @@ def test_a_page_renews_itself_in_a_browser(crane: Task, web: int, tmp_path: Path
 
 
 def test_what_workers_publish_becomes_the_film(
-    server: Any, spec: TaskSpec, web: int, publish: Any, message: Any, processes: Any
+    server: RunningServer, spec: TaskSpec, web: int, publish: Any, message: Any, processes: Processes
 ) -> None:
     with Client(server.endpoint) as client:
         report(client.create_task(spec), 2)
@@ -122,14 +122,14 @@ def test_the_site_can_only_be_read(crane: Task, web: int) -> None:
     assert headers["x-content-type-options"] == "nosniff"
 
 
-def test_what_is_not_there_is_a_plain_404(server: Any, web: int) -> None:
+def test_what_is_not_there_is_a_plain_404(server: RunningServer, web: int) -> None:
     for path in ("/task/none", "/task/%3Cscript%3E", "/task/..%2F..%2Fetc%2Fpasswd", "/nowhere", "/task/a%20b"):
         status, headers, text = get(web, path)
         assert (path, status, headers["content-type"].split(";")[0]) == (path, 404, "text/plain")
         assert "<" not in text
 
 
-def test_a_page_elsewhere_cannot_borrow_the_name_of_this_host(server: Any, web: int) -> None:
+def test_a_page_elsewhere_cannot_borrow_the_name_of_this_host(server: RunningServer, web: int) -> None:
     assert get(web, "/", Host="attacker.example")[0] == 421
     assert get(web, "/", Host=f"localhost:{web}")[0] == 200
 
@@ -161,7 +161,9 @@ async def _crowd(port: int, task: str) -> list[int]:
     return [status for statuses in answers for status in statuses]
 
 
-def test_two_hundred_readers_are_answered_beside_silent_and_slow_ones(crane: Task, web: int, processes: Any) -> None:
+def test_two_hundred_readers_are_answered_beside_silent_and_slow_ones(
+    crane: Task, web: int, processes: Processes
+) -> None:
     report(crane, 60)
     processes.wait_until(lambda: seen_trials(web, crane.name))
     assert asyncio.run(_crowd(web, crane.name)) == [200] * READERS * 3
@@ -169,7 +171,7 @@ def test_two_hundred_readers_are_answered_beside_silent_and_slow_ones(crane: Tas
 
 
 def test_the_process_of_the_pages_is_started_again_and_ends_with_a_killed_server(
-    start_server: Start, processes: Any, free_port: int
+    start_server: Start, processes: Processes, free_port: int
 ) -> None:
     server = start_server("--web", str(free_port))
 
@@ -217,7 +219,7 @@ def test_a_web_server_that_ends_by_itself_is_an_error() -> None:
 
 
 def test_pages_served_elsewhere_outlast_a_restart_of_the_server(
-    start_server: Start, spec: TaskSpec, tmp_path: Path, free_port: int, processes: Any
+    start_server: Start, spec: TaskSpec, tmp_path: Path, free_port: int, processes: Processes
 ) -> None:
     data = tmp_path / "data"
     server = start_server(data=data, port=free_port)

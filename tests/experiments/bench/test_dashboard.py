@@ -3,9 +3,9 @@
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
+from processes import Processes, RunningServer
 
 from crkr.client import Client
 from crkr.experiments.bench import workload
@@ -17,7 +17,9 @@ from crkr.protocol import Unavailable, pack
 MESSAGE = {"id": bytes(16), "seq": 1, "kind": "trial", "success": True, "worker": "w", "info": {"note": 500 * "x"}}
 
 
-def test_a_stream_is_published_at_its_rate_and_drawn_by_a_watch(server: Any, processes: Any, tmp_path: Path) -> None:
+def test_a_stream_is_published_at_its_rate_and_drawn_by_a_watch(
+    server: RunningServer, processes: Processes, tmp_path: Path
+) -> None:
     file, contents = tmp_path / "run.rrd", [pack(MESSAGE), pack(MESSAGE | {"kind": "failed", "success": False})]
     (tmp_path / "messages").write_bytes(pack({"messages": contents}))
     with program(STREAM, server.endpoint, str(tmp_path / "messages"), "100") as source:

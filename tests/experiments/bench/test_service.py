@@ -5,10 +5,10 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
+from processes import Processes
 
 from crkr.experiments.bench import workload
 from crkr.experiments.bench.bare_zenoh import KEY, BareQuerier, echo_server
@@ -41,7 +41,7 @@ def refusals(load: Load) -> int:
     return load.stop()[1]
 
 
-def test_a_load_reports_between_go_and_stop_only(tmp_path: Path, processes: Any) -> None:
+def test_a_load_reports_between_go_and_stop_only(tmp_path: Path, processes: Processes) -> None:
     with running_server(tmp_path / "data") as client:
         task = client.create_task(workload.bench_spec())
         workload.fill(task, 40)
@@ -61,7 +61,7 @@ def test_a_load_reports_between_go_and_stop_only(tmp_path: Path, processes: Any)
     assert status["active"] == 40  # what the load reports is not learned from
 
 
-def test_a_load_that_gets_no_answers_gives_no_numbers(processes: Any) -> None:
+def test_a_load_that_gets_no_answers_gives_no_numbers(processes: Processes) -> None:
     ended = r"bench\.load ended with status 1: .* did not answer a query of the load"
     with (
         pytest.raises(Unavailable, match=ended),
@@ -79,7 +79,7 @@ def test_a_server_that_cannot_start_is_an_error_with_its_reason(tmp_path: Path) 
     assert "\n" not in caught.value.message
 
 
-def test_a_server_that_dies_while_it_is_measured_ends_the_measurement(tmp_path: Path, processes: Any) -> None:
+def test_a_server_that_dies_while_it_is_measured_ends_the_measurement(tmp_path: Path, processes: Processes) -> None:
     def measure() -> None:
         with running_server(tmp_path / "data") as client:
             task = client.create_task(workload.bench_spec())
@@ -99,7 +99,7 @@ def test_an_error_beside_a_healthy_server_is_raised_unchanged(tmp_path: Path) ->
         raise KeyError
 
 
-def test_the_command_fails_in_one_line_when_its_server_dies(tmp_path: Path, processes: Any) -> None:
+def test_the_command_fails_in_one_line_when_its_server_dies(tmp_path: Path, processes: Processes) -> None:
     command = [sys.executable, "-m", "crkr.client", "bench", "report"]
     environment = {**os.environ, "TMPDIR": str(tmp_path)}
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment) as bench:

@@ -15,6 +15,8 @@ from uuid import UUID, uuid4
 
 import numpy as np
 import pytest
+from postgres import Postgres
+from processes import Processes
 
 from crkr.client import Client, Task
 from crkr.protocol import TaskSpec, Trial
@@ -87,7 +89,7 @@ class Pair:
 
 @pytest.fixture
 def make_pair(
-    make_database: Callable[[], str], postgres: Any, tmp_path: Path, processes: Any, unused_ports: list[int]
+    make_database: Callable[[], str], postgres: Postgres, tmp_path: Path, processes: Processes, unused_ports: list[int]
 ) -> Iterator[Callable[..., Pair]]:
     """Starts two servers; the first, which gets the log, may reach the database by another port than the second.
 

@@ -8,7 +8,8 @@ from contextlib import closing, suppress
 from typing import Any
 
 import pytest
-from postgres import TcpLink, running_postgres
+from postgres import Postgres, TcpLink, running_postgres
+from processes import Processes
 
 from crkr.client import Task
 from crkr.protocol import ShuttingDown, StorageError, Unavailable
@@ -34,7 +35,7 @@ def stored_once(url: str, acknowledged: list[Any]) -> bool:
     "how", [signal.SIGQUIT, pytest.param(signal.SIGINT, marks=pytest.mark.campaign)], ids=["crash", "restart"]
 )
 def test_predictions_go_on_without_the_database_and_reports_wait_for_it(
-    how: signal.Signals, pair: Any, reporters: Any, task: Task, postgres: Any, processes: Any
+    how: signal.Signals, pair: Any, reporters: Any, task: Task, postgres: Postgres, processes: Processes
 ) -> None:
     processes.wait_until(lambda: reporters.failed or len(reporters.acknowledged) > 30)
     postgres.stop(how)
@@ -55,7 +56,11 @@ def test_predictions_go_on_without_the_database_and_reports_wait_for_it(
 
 @pytest.mark.parametrize("silently", [False, pytest.param(True, marks=pytest.mark.campaign)])
 def test_a_server_that_is_cut_off_from_the_database_leaves_its_clients_to_the_other(
-    silently: bool, postgres: Any, make_pair: Callable[..., Any], start_reporters: Callable[..., Any], processes: Any
+    silently: bool,
+    postgres: Postgres,
+    make_pair: Callable[..., Any],
+    start_reporters: Callable[..., Any],
+    processes: Processes,
 ) -> None:
     with TcpLink(postgres.port) as link:
         pair = make_pair(link.port)
@@ -81,7 +86,7 @@ def test_a_server_that_is_cut_off_from_the_database_leaves_its_clients_to_the_ot
 
 
 def test_a_database_that_stands_still_counts_as_away_until_it_goes_on(
-    make_database: Callable[[], str], processes: Any
+    make_database: Callable[[], str], processes: Processes
 ) -> None:
     with running_postgres() as cluster:
         url = cluster.create("still")
@@ -116,7 +121,7 @@ def test_a_database_that_stands_still_counts_as_away_until_it_goes_on(
 
 
 def test_a_slow_database_slows_reports_and_nothing_else(
-    postgres: Any, make_pair: Callable[..., Any], start_reporters: Callable[..., Any], processes: Any
+    postgres: Postgres, make_pair: Callable[..., Any], start_reporters: Callable[..., Any], processes: Processes
 ) -> None:
     with TcpLink(postgres.port) as link:
         pair = make_pair(link.port)
@@ -136,7 +141,7 @@ def test_a_slow_database_slows_reports_and_nothing_else(
 
 
 def test_an_older_state_is_refused_by_a_server_that_began_anew_until_it_has_it_all(
-    make_database: Callable[[], str], processes: Any
+    make_database: Callable[[], str], processes: Processes
 ) -> None:
     url, said, taken = make_database(), list[str](), list[Any]()
     owner, _ = Follower(url, "tcp/127.0.0.1:1", lambda _: None).take()
@@ -186,7 +191,7 @@ def test_an_older_state_is_refused_by_a_server_that_stood_by_until_it_has_it_all
 
 
 def test_a_server_that_the_database_refuses_is_told_why_without_the_password(
-    postgres: Any, make_database: Callable[[], str]
+    postgres: Postgres, make_database: Callable[[], str]
 ) -> None:
     database = make_database().rpartition("/")[2]
     postgres.execute(database, "DROP ROLE IF EXISTS guarded")
@@ -214,7 +219,7 @@ def test_a_location_is_shown_without_its_password(url: str, shown: str) -> None:
 
 
 def test_a_server_waits_for_a_database_that_is_away(
-    postgres: Any, make_database: Callable[[], str], processes: Any
+    postgres: Postgres, make_database: Callable[[], str], processes: Processes
 ) -> None:
     url = make_database()
     said: list[str] = []

@@ -8,6 +8,7 @@ from typing import Any
 from uuid import UUID
 
 import pytest
+from postgres import Postgres
 
 from crkr.client import Client, Task
 from crkr.server.log import LoggedTrial, read_log
@@ -66,7 +67,9 @@ def test_a_server_that_is_killed_while_it_takes_over_loses_nothing(
 
 @pytest.mark.campaign
 @pytest.mark.timeout(3000)
-def test_a_hundred_owners_in_turn(pair: Any, reporters: Any, task: Task, processes: Processes, postgres: Any) -> None:
+def test_a_hundred_owners_in_turn(
+    pair: Any, reporters: Any, task: Task, processes: Processes, postgres: Postgres
+) -> None:
     for turn in range(10):
         ways = (signal.SIGKILL, signal.SIGSTOP) * 5
         hand_over(pair, reporters, task, processes, ways[turn % 2 :] + ways[: turn % 2])

@@ -9,7 +9,8 @@ from uuid import UUID, uuid4
 
 import psycopg
 import pytest
-from postgres import TcpLink
+from postgres import Postgres, TcpLink
+from processes import Processes
 from psycopg import sql
 
 from crkr.protocol import ShuttingDown, StorageError, TaskSpec, Trial
@@ -69,7 +70,7 @@ def own(url: str) -> Iterator[Callable[..., Owner]]:
 
 
 @pytest.fixture
-def run(postgres: Any, url: str) -> Callable[[Any], list[tuple[Any, ...]]]:
+def run(postgres: Postgres, url: str) -> Callable[[Any], list[tuple[Any, ...]]]:
     """Runs a statement in the test's database."""
     return lambda statement: postgres.execute(url.rpartition("/")[2], statement)
 
@@ -149,7 +150,7 @@ def test_a_connection_that_ends_is_made_anew_and_nothing_is_stored_twice(
 
 
 def test_what_was_stored_though_its_connection_was_lost_is_read_back(
-    postgres: Any, url: str, run: Callable[[Any], Any], processes: Any
+    postgres: Postgres, url: str, run: Callable[[Any], Any], processes: Processes
 ) -> None:
     with TcpLink(postgres.port) as link:
         owner = Owner(url.replace(f":{postgres.port}/", f":{link.port}/"), beats=False)
@@ -181,7 +182,7 @@ def test_what_was_stored_though_its_connection_was_lost_is_read_back(
 
 
 def test_a_database_that_went_back_is_refused_with_the_reason(
-    own: Callable[..., Owner], url: str, postgres: Any, run: Callable[[Any], Any]
+    own: Callable[..., Owner], url: str, postgres: Postgres, run: Callable[[Any], Any]
 ) -> None:
     owner = own(beats=False)
     owner.log.create(SPEC)
@@ -204,7 +205,7 @@ def test_a_database_that_went_back_is_refused_with_the_reason(
 
 
 def test_a_database_that_takes_no_writes_is_named_and_may_be_opened_again(
-    own: Callable[..., Owner], url: str, postgres: Any, run: Callable[[Any], Any]
+    own: Callable[..., Owner], url: str, postgres: Postgres, run: Callable[[Any], Any]
 ) -> None:
     owner = own(beats=False)
     owner.log.create(SPEC)
@@ -223,7 +224,7 @@ def test_a_database_that_takes_no_writes_is_named_and_may_be_opened_again(
 
 
 def test_a_database_without_free_connections_is_away_until_it_has_some(
-    url: str, postgres: Any, run: Callable[[Any], Any]
+    url: str, postgres: Postgres, run: Callable[[Any], Any]
 ) -> None:
     role = sql.Identifier(f"role-{uuid4()}")
     run(sql.SQL("CREATE ROLE {} LOGIN").format(role))
@@ -255,7 +256,7 @@ def test_a_lock_that_another_program_holds_makes_reports_wait_and_not_the_server
 
 
 def test_a_command_that_writes_keeps_the_log_and_gives_it_up_where_it_is_damaged(
-    url: str, run: Callable[[Any], Any], processes: Any
+    url: str, run: Callable[[Any], Any], processes: Processes
 ) -> None:
     log = open_unserved(url)
     [(beat,)] = run("SELECT beat FROM crkr.server")

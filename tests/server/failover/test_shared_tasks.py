@@ -6,7 +6,8 @@ from dataclasses import replace
 from typing import Any
 
 import pytest
-from postgres import TcpLink
+from postgres import Postgres, TcpLink
+from processes import Processes
 
 from crkr.client import Client
 from crkr.protocol import Conflict, TaskSpec, UnknownTask
@@ -21,13 +22,13 @@ OWNED = """SELECT server.number, count(*) FROM crkr.task JOIN crkr.server ON own
 
 
 @pytest.fixture
-def shares(postgres: Any) -> Callable[[Any], list[int]]:
+def shares(postgres: Postgres) -> Callable[[Any], list[int]]:
     """How many tasks each living server owns, those first that came first."""
     return lambda pair: [count for _, count in postgres.execute(pair.url.rpartition("/")[2], OWNED)]
 
 
 def test_tasks_are_shared_and_either_server_answers_for_all(
-    make_pair: Callable[..., Any], shares: Callable[[Any], list[int]], processes: Any
+    make_pair: Callable[..., Any], shares: Callable[[Any], list[int]], processes: Processes
 ) -> None:
     pair = make_pair(peer="")
     with (
@@ -58,7 +59,7 @@ def test_tasks_go_from_server_to_server_under_load(
     make_pair: Callable[..., Any],
     start_reporters: Callable[..., Any],
     shares: Callable[[Any], list[int]],
-    processes: Any,
+    processes: Processes,
 ) -> None:
     pair = make_pair(peer="")
     reporters = start_reporters(pair, NAMES)
@@ -93,7 +94,7 @@ def test_of_two_servers_whose_link_is_cut_the_later_one_stands_by(
     make_pair: Callable[..., Any],
     start_reporters: Callable[..., Any],
     shares: Callable[[Any], list[int]],
-    processes: Any,
+    processes: Processes,
     unused_ports: list[int],
 ) -> None:
     with TcpLink(unused_ports[0]) as link:
@@ -119,11 +120,11 @@ def test_of_two_servers_whose_link_is_cut_the_later_one_stands_by(
 
 @pytest.mark.campaign
 def test_a_peer_that_is_cut_off_from_the_database_leaves_its_tasks_to_the_other(
-    postgres: Any,
+    postgres: Postgres,
     make_pair: Callable[..., Any],
     start_reporters: Callable[..., Any],
     shares: Callable[[Any], list[int]],
-    processes: Any,
+    processes: Processes,
 ) -> None:
     with TcpLink(postgres.port) as link:
         pair = make_pair(link.port, peer="")

@@ -12,6 +12,7 @@ from typing import Any
 from uuid import UUID
 
 import pytest
+from processes import Processes
 
 from crkr.client import Client
 from crkr.protocol import Conflict, Invalid
@@ -104,7 +105,7 @@ def test_whatever_happens_at_once_log_model_and_copies_agree(
     start_server: Start,
     free_port: int,
     reach: dict[str, Any],
-    processes: Any,
+    processes: Processes,
     tmp_path: Path,
 ) -> None:
     server = start_server(data=place, port=free_port)

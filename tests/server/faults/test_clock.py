@@ -15,7 +15,8 @@ from typing import Any
 from uuid import UUID
 
 import pytest
-from postgres import running_postgres
+from postgres import Postgres, running_postgres
+from processes import Processes
 
 from crkr.client import Client
 
@@ -203,7 +204,8 @@ def test_jumps_of_the_clock_hold_up_neither_server_nor_worker(
 def test_jumps_of_a_servers_clock_make_no_other_take_its_tasks(
     make_clock: Callable[[str], Clock],
     make_database: Callable[[], str],
-    postgres: Any,
+    postgres: Postgres,
+    processes: Processes,
     unused_ports: list[int],
     reach: dict[str, Any],
 ) -> None:
@@ -222,9 +224,9 @@ def test_jumps_of_a_servers_clock_make_no_other_take_its_tasks(
             clock.jump(jump)
             for _ in range(3):
                 task.report(state=[0.1, 0.1], goal=[0.0] * 3, cost=0.5, success=True, wait=True)
-            [(beat,)] = beats = postgres.execute(url.rpartition("/")[2], BEAT)
-            while beats[0][0] < beat + 2:
-                beats = postgres.execute(url.rpartition("/")[2], BEAT)
+            name = url.rpartition("/")[2]
+            [(beat,)] = postgres.execute(name, BEAT)
+            processes.wait_until(lambda name=name, beat=beat: postgres.execute(name, BEAT)[0][0] >= beat + 2)
             assert postgres.execute(url.rpartition("/")[2], "SELECT epoch, last FROM crkr.task") == [
                 (1, 4 + 3 * number)
             ]

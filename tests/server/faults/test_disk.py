@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from processes import RunningServer
 
 Ask = Callable[..., dict[str, Any]]
 MakeTrial = Callable[..., dict[str, Any]]
@@ -25,7 +26,7 @@ def samples(ask: Ask) -> list[bytes]:
 
 @pytest.mark.parametrize("writable", [4096, 0])
 def test_where_nothing_can_be_written_reports_are_refused_while_predictions_go_on(
-    writable: int, server: Any, connect: Connect, make_trial: MakeTrial, reach: dict[str, Any]
+    writable: int, server: RunningServer, connect: Connect, make_trial: MakeTrial, reach: dict[str, Any]
 ) -> None:
     ask = connect(server.endpoint)
     ask("rpc/create_task", reach)
@@ -46,7 +47,7 @@ def test_where_nothing_can_be_written_reports_are_refused_while_predictions_go_o
 
 
 def test_a_log_that_is_moved_away_takes_nothing_until_it_is_back(
-    server: Any, connect: Connect, make_trial: MakeTrial, reach: dict[str, Any]
+    server: RunningServer, connect: Connect, make_trial: MakeTrial, reach: dict[str, Any]
 ) -> None:
     ask = connect(server.endpoint)
     ask("rpc/create_task", reach)

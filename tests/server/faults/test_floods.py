@@ -15,6 +15,7 @@ import msgpack
 import numpy as np
 import pytest
 import zenoh
+from processes import Processes, RunningServer
 from zenoh_wire import changed_on_the_way
 
 from crkr.client import Client
@@ -163,7 +164,7 @@ def test_a_log_of_large_events_is_read_one_at_a_time(tmp_path: Path, reach: dict
 
 
 def test_messages_whose_end_never_comes_are_kept_within_bounds(
-    server: Any, plain: Callable[[str], zenoh.Session], connect: Callable[[str], Ask], processes: Any
+    server: RunningServer, plain: Callable[[str], zenoh.Session], connect: Callable[[str], Ask], processes: Processes
 ) -> None:
     """A last fragment is marked by a missing flag for more."""
     kept: list[int] = []
@@ -193,7 +194,7 @@ def test_messages_whose_end_never_comes_are_kept_within_bounds(
         assert resident_mib(server.process.pid) - before < 3 * len(priorities) * 18
 
 
-def test_the_largest_message_of_the_protocol_passes(server: Any, reach: dict[str, Any]) -> None:
+def test_the_largest_message_of_the_protocol_passes(server: RunningServer, reach: dict[str, Any]) -> None:
     with Client(server.endpoint) as client, ZenohTransport(Connection.choose(server.endpoint, None)) as transport:
         client.create_task(reach)
         room = MAX_MESSAGE_BYTES - len(msgpack.packb({"trials": b""})) - 4

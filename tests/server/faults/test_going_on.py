@@ -10,6 +10,7 @@ from typing import Any
 from uuid import UUID
 
 import pytest
+from processes import Processes, RunningServer
 
 from crkr.client import Client
 from crkr.protocol import Trial, Unavailable
@@ -67,7 +68,7 @@ def disturbed(
 
 @pytest.fixture
 def kill(start_server: Start, free_port: int) -> Callable[[Any], Any]:
-    def killed(server: Any) -> Any:
+    def killed(server: RunningServer) -> Any:
         server.process.kill()
         server.process.wait(timeout=60)
         return start_server(port=free_port)
@@ -75,7 +76,7 @@ def kill(start_server: Start, free_port: int) -> Callable[[Any], Any]:
     return killed
 
 
-def hold(server: Any) -> Any:
+def hold(server: RunningServer) -> Any:
     os.kill(server.process.pid, signal.SIGSTOP)
     with pytest.raises(subprocess.TimeoutExpired):
         server.process.wait(timeout=3.0)  # longer than the lease: clients lose their connection
@@ -90,7 +91,7 @@ def test_clients_go_on_over_a_killed_server(
 
 
 def test_over_a_held_server_calls_end_by_their_deadline_and_what_they_sent_arrives_once(
-    server: Any, reach: dict[str, Any]
+    server: RunningServer, reach: dict[str, Any]
 ) -> None:
     with Client(server.endpoint) as client:
         task = client.create_task(reach)
@@ -118,7 +119,7 @@ def test_over_a_held_server_calls_end_by_their_deadline_and_what_they_sent_arriv
 
 
 def test_subscriptions_and_tokens_stand_again_after_the_server_came_back(
-    start_server: Start, free_port: int, reach: dict[str, Any], kill: Callable[[Any], Any], processes: Any
+    start_server: Start, free_port: int, reach: dict[str, Any], kill: Callable[[Any], Any], processes: Processes
 ) -> None:
     server = start_server(port=free_port)
     with Client(server.endpoint, timeout_s=20) as worker, Client(server.endpoint, timeout_s=20) as watcher:

@@ -12,6 +12,7 @@ import msgpack
 import numpy as np
 import pytest
 import zenoh
+from processes import RunningServer
 
 from crkr.client import Client
 
@@ -255,7 +256,7 @@ def test_hostile_messages_get_typed_errors_and_leave_no_trace(
 
 
 def test_connections_that_do_not_speak_the_protocol_keep_nobody_out(
-    server: Any, connect: Callable[[str], Ask], reach: dict[str, Any]
+    server: RunningServer, connect: Callable[[str], Ask], reach: dict[str, Any]
 ) -> None:
     ask, rng = connect(server.endpoint), np.random.default_rng(0)
     ask("rpc/create_task", reach)

@@ -11,6 +11,7 @@ from typing import Any
 from uuid import UUID, uuid4
 
 import pytest
+from processes import Processes, RunningServer
 
 from crkr.client import Client
 
@@ -66,7 +67,7 @@ def start_worker() -> Iterator[StartWorker]:
 
 
 @pytest.fixture
-def ask(server: Any, connect: Callable[[str], Ask], make_trial: MakeTrial, reach: dict[str, Any]) -> Ask:
+def ask(server: RunningServer, connect: Callable[[str], Ask], make_trial: MakeTrial, reach: dict[str, Any]) -> Ask:
     """Questions to a server whose task has one demonstration."""
     ask = connect(server.endpoint)
     ask("rpc/create_task", reach)
@@ -104,7 +105,7 @@ def stored(endpoint: str) -> list[UUID]:
     ids=["short", "long"],
 )
 def test_killed_clients_leave_their_reports_and_nothing_else(
-    rounds: int, server: Any, ask: Ask, processes: Any, start_worker: StartWorker
+    rounds: int, server: RunningServer, ask: Ask, processes: Processes, start_worker: StartWorker
 ) -> None:
     acknowledged: set[UUID] = set()
     before = after = (0, 0, 0)
@@ -135,7 +136,7 @@ def test_killed_clients_leave_their_reports_and_nothing_else(
 
 
 def test_lost_stuck_and_finished_workers_are_told_apart_and_a_late_report_is_data(
-    server: Any, ask: Ask, make_trial: MakeTrial, processes: Any, start_worker: StartWorker
+    server: RunningServer, ask: Ask, make_trial: MakeTrial, processes: Processes, start_worker: StartWorker
 ) -> None:
     ends = {name: start_worker(TRYING, server.endpoint, name) for name in ("killed", "finished", "stuck")}
     open_trials = {name: UUID(line(process)) for name, process in ends.items()}
@@ -162,7 +163,7 @@ def test_lost_stuck_and_finished_workers_are_told_apart_and_a_late_report_is_dat
 
 
 def test_a_worker_that_takes_the_name_of_a_killed_one_is_alive(
-    server: Any, ask: Ask, processes: Any, start_worker: StartWorker
+    server: RunningServer, ask: Ask, processes: Processes, start_worker: StartWorker
 ) -> None:
     first = start_worker(TRYING, server.endpoint, "ada")
     line(first)

@@ -12,6 +12,7 @@ from typing import Any, final
 
 import pytest
 from network_namespaces import ip, two_machines
+from processes import RunningServer
 
 OUTAGE_S = 4.0  # longer than a lease, so that the partition is noticed
 
@@ -83,7 +84,9 @@ class Cable:
             sink.shutdown(socket.SHUT_WR)
 
 
-def test_over_a_link_that_is_silent_for_a_while_everything_arrives_once(server: Any, reach: dict[str, Any]) -> None:
+def test_over_a_link_that_is_silent_for_a_while_everything_arrives_once(
+    server: RunningServer, reach: dict[str, Any]
+) -> None:
     count = 150
     with closing(Cable(server.port)) as cable, ExitStack() as stack:
         script = [sys.executable, "-c", REPORTER, cable.endpoint, json.dumps(reach), str(count)]

@@ -12,6 +12,7 @@ import pytest
 import zenoh
 from message_grammar import ADMIN_VERBS, MOVES, ROOT, Grammar, Message
 from odd_values import HUGE
+from processes import Processes
 from valid_messages import specification, trial
 
 from crkr.client import Client
@@ -127,7 +128,7 @@ def test_a_message_with_one_thing_wrong_gets_one_typed_answer_and_leaves_nothing
     start_server: Callable[..., Any],
     connect: Callable[[str], Ask],
     plain: Callable[[str], zenoh.Session],
-    processes: Any,
+    processes: Processes,
 ) -> None:
     server = start_server()
     ask = connect(server.endpoint)

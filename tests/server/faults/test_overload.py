@@ -13,6 +13,7 @@ from typing import Any
 import msgpack
 import pytest
 import zenoh
+from processes import RunningServer
 
 from crkr.client import Client
 
@@ -78,7 +79,7 @@ def test_beyond_a_full_queue_requests_are_refused_as_busy_while_another_client_i
 
 
 def test_a_client_that_asks_more_than_can_be_refused_does_not_make_another_task_wait_for_all_of_it(
-    server: Any, reach: dict[str, Any]
+    server: RunningServer, reach: dict[str, Any]
 ) -> None:
     with Client(server.endpoint) as client:
         client.create_task(reach)
@@ -97,7 +98,7 @@ def test_a_client_that_asks_more_than_can_be_refused_does_not_make_another_task_
 
 @pytest.mark.parametrize("rounds", [1, pytest.param(5, marks=pytest.mark.campaign)], ids=["short", "long"])
 def test_clients_that_ask_and_stop_reading_do_not_hold_up_the_others(
-    rounds: int, server: Any, reach: dict[str, Any]
+    rounds: int, server: RunningServer, reach: dict[str, Any]
 ) -> None:
     with Client(server.endpoint) as client:
         task = client.create_task(reach)

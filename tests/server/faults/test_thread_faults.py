@@ -10,6 +10,7 @@ from typing import Any
 import msgpack
 import pytest
 import zenoh
+from processes import Processes, RunningServer
 from zenoh_wire import changed_on_the_way
 
 from crkr.client import Client
@@ -147,7 +148,7 @@ def test_the_intake_answers_what_raised_and_what_comes_behind_it(
     assert found == [False, True, True]
 
 
-def test_refusals_go_on_after_one_that_cannot_be_told(processes: Any) -> None:
+def test_refusals_go_on_after_one_that_cannot_be_told(processes: Processes) -> None:
     refuser = Refuser()
     told: list[Any] = []
 
@@ -212,7 +213,7 @@ def overlong(first: bytes, rest: bytes, seen: list[int]) -> Callable[[bytes], by
 
 @pytest.mark.parametrize("verb", ["rpc/report", "admin/remove", "rpc/status", "dance"])
 def test_a_key_longer_than_zenoh_can_answer_harms_nobody_else(
-    verb: str, server: Any, reach: dict[str, Any], plain: Callable[[str], zenoh.Session], processes: Any
+    verb: str, server: RunningServer, reach: dict[str, Any], plain: Callable[[str], zenoh.Session], processes: Processes
 ) -> None:
     seen: list[int] = []
     prefix = f"{ROOT}/task/{'k' * 40_000}" if "/" in verb else f"{ROOT}/task/reach/rpc/{'k' * 40_000}"
@@ -254,7 +255,7 @@ def test_the_health_probe_fails_where_a_thread_ended(threads: Any, code: int, fr
 
 
 def test_subscribers_whose_connections_an_overlong_publication_broke_are_answered_again(
-    server: Any, reach: dict[str, Any], plain: Callable[[str], zenoh.Session], processes: Any
+    server: RunningServer, reach: dict[str, Any], plain: Callable[[str], zenoh.Session], processes: Processes
 ) -> None:
     seen: list[int] = []
     change = overlong(f"{ROOT}/task/reach/pub/{'k' * 40_000}".encode(), b"s" * 26_000, seen)
@@ -286,7 +287,7 @@ def test_subscribers_whose_connections_an_overlong_publication_broke_are_answere
 
 
 def test_a_session_that_a_token_on_no_key_broke_is_opened_anew(
-    server: Any, reach: dict[str, Any], plain: Callable[[str], zenoh.Session], processes: Any
+    server: RunningServer, reach: dict[str, Any], plain: Callable[[str], zenoh.Session], processes: Processes
 ) -> None:
     def spoilt(batch: bytes) -> bytes:
         return batch.replace(b"live/worker", b"liv*/worker")
@@ -318,7 +319,7 @@ def hostile_answer(session: zenoh.Session) -> bool:
 
 @pytest.mark.parametrize("renews", [True, False])
 def test_a_session_that_is_broken_is_renewed_and_where_that_does_not_help_the_process_is_given_up(
-    renews: bool, processes: Any
+    renews: bool, processes: Processes
 ) -> None:
     broken, done = threading.Event(), []
 

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from processes import Processes
 
 from crkr.protocol import StorageError, TaskSpec
 from crkr.server.inspection.seal_check import SealCheck
@@ -65,7 +66,11 @@ def test_every_column_of_every_row_is_looked_at(long_log: Path) -> None:
 
 
 def test_a_row_that_is_not_as_it_was_stored_is_told_and_the_server_goes_on(
-    long_log: Path, start_server: Callable[..., Any], free_port: int, connect: Callable[[str], Ask], processes: Any
+    long_log: Path,
+    start_server: Callable[..., Any],
+    free_port: int,
+    connect: Callable[[str], Ask],
+    processes: Processes,
 ) -> None:
     damage(long_log, DAMAGES[0], 4321)
     server = start_server("--metrics", str(free_port), data=long_log)
@@ -87,7 +92,7 @@ def test_a_row_that_is_not_as_it_was_stored_is_told_and_the_server_goes_on(
 
 
 def test_a_whole_log_is_found_whole_and_a_server_may_end_meanwhile(
-    long_log: Path, start_server: Callable[..., Any], connect: Callable[[str], Ask], processes: Any
+    long_log: Path, start_server: Callable[..., Any], connect: Callable[[str], Ask], processes: Processes
 ) -> None:
     server = start_server(data=long_log)
     child = processes.wait_until(lambda: checking(server.process.pid), server.log)

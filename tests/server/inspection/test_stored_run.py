@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from shared_server import shared_server
+from processes import RunningServer, shared_server
 
 from crkr.client import Client, Task
 from crkr.protocol import CrkrError, StorageError, StoredTrial, TaskSpec, UnknownTask
@@ -36,7 +36,7 @@ def thrown(client: Client) -> Task:
 
 
 @pytest.fixture
-def throw(server: Any) -> Iterator[Task]:
+def throw(server: RunningServer) -> Iterator[Task]:
     """Such a task of a server that goes on."""
     with Client(server.endpoint) as client:
         yield thrown(client)
@@ -67,7 +67,7 @@ def as_data(trials: list[StoredTrial]) -> list[dict[str, Any]]:
     ]
 
 
-def test_the_trials_are_those_that_the_server_hands_out(server: Any, throw: Task) -> None:
+def test_the_trials_are_those_that_the_server_hands_out(server: RunningServer, throw: Task) -> None:
     throw.recost([next(throw.iter_samples()).trial.id], [0.25], "measured again")
     spec, trials, status = read(server.data)
     assert as_data(trials) == as_data(list(throw.iter_samples()))
@@ -77,7 +77,7 @@ def test_the_trials_are_those_that_the_server_hands_out(server: Any, throw: Task
 
 @pytest.mark.parametrize("changes", [{}, {"budget": 5}, {"learn_from": "all"}, {"budget": 9, "learn_from": "all"}])
 def test_eligible_and_active_samples_are_those_that_the_server_counts(
-    server: Any, throw: Task, changes: dict[str, Any]
+    server: RunningServer, throw: Task, changes: dict[str, Any]
 ) -> None:
     throw.remove([trial.trial.id for trial in throw.iter_samples()][3:9], "wind gauge was stuck")
     if changes:
@@ -88,7 +88,7 @@ def test_eligible_and_active_samples_are_those_that_the_server_counts(
     assert spec.budget == changes.get("budget", 12)
 
 
-def test_a_server_goes_on_and_what_it_adds_later_is_left_out(server: Any, throw: Task) -> None:
+def test_a_server_goes_on_and_what_it_adds_later_is_left_out(server: RunningServer, throw: Task) -> None:
     lock = (server.data / "lock").read_bytes()
     with closing(StoredRun(server.data, "throw")) as run:
         pages = run.pages(10)
@@ -100,7 +100,7 @@ def test_a_server_goes_on_and_what_it_adds_later_is_left_out(server: Any, throw:
     assert throw.status()["seq"] == 34
 
 
-def test_a_copy_needs_no_server_and_is_not_written(server: Any, throw: Task, tmp_path: Path) -> None:
+def test_a_copy_needs_no_server_and_is_not_written(server: RunningServer, throw: Task, tmp_path: Path) -> None:
     expected = as_data(list(throw.iter_samples()))
     with closing(sqlite3.connect(server.data / "crkr.sqlite3")) as log:
         log.execute("PRAGMA wal_checkpoint(TRUNCATE)")
@@ -157,7 +157,7 @@ def test_where_there_is_no_log_the_place_is_named(tmp_path: Path, make: Callable
         StoredRun(make(tmp_path), "throw")
 
 
-def test_a_task_that_is_not_there_is_answered_with_those_that_are(server: Any, throw: Task) -> None:
+def test_a_task_that_is_not_there_is_answered_with_those_that_are(server: RunningServer, throw: Task) -> None:
     with Client(server.endpoint) as client:
         client.create_task(TaskSpec.from_dict({**SPEC.to_dict(), "name": "catch"}))
     with pytest.raises(UnknownTask, match=r"holds no task 'thorw'; it has throw, catch$"):

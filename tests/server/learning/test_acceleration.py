@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from processes import Processes
 
 from crkr.protocol import TaskSpec
 from crkr.server.inspection.synthetic_log import fill
@@ -30,7 +31,7 @@ def test_the_compiled_selection_takes_over_and_is_not_missed_where_numba_is_miss
     connect: Callable[[str], Ask],
     make_trial: Callable[..., dict[str, Any]],
     reach: dict[str, Any],
-    processes: Any,
+    processes: Processes,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     data = tmp_path / "data"

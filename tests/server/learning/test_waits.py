@@ -30,15 +30,13 @@ class Clock:
     def __init__(self) -> None:
         self.now = 0.0
 
-    def monotonic(self) -> float:
+    def __call__(self) -> float:
         return self.now
 
 
 @pytest.fixture
-def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
-    clock = Clock()
-    monkeypatch.setattr("crkr.server.learning.waits.time", clock)
-    return clock
+def clock() -> Clock:
+    return Clock()
 
 
 def waiting(waits: Waits, task: str, count: int) -> list[Done]:
@@ -47,7 +45,7 @@ def waiting(waits: Waits, task: str, count: int) -> list[Done]:
 
 
 def test_one_more_waits_as_long_as_all_before_it_and_no_longer_than_two_seconds(clock: Clock) -> None:
-    waits = Waits()
+    waits = Waits(clock)
     first, *others = waiting(waits, "slow", 20)
     clock.now = 0.09
     first(None, None)  # a step takes 90 ms, so that 19 more take 1.7 s, and 23 would take over 2 s
@@ -63,7 +61,7 @@ def test_one_more_waits_as_long_as_all_before_it_and_no_longer_than_two_seconds(
 
 
 def test_a_few_may_always_wait_and_not_many_before_the_first_was_answered(clock: Clock) -> None:
-    waits = Waits()
+    waits = Waits(clock)
     first, *_ = waiting(waits, "new", 7)
     clock.now = 60.0
     first(None, None)
@@ -77,7 +75,7 @@ def test_a_few_may_always_wait_and_not_many_before_the_first_was_answered(clock:
 
 
 def test_nothing_is_kept_of_a_task_for_which_nobody_waits(clock: Clock) -> None:
-    waits = Waits()
+    waits = Waits(clock)
     told = []
     waits.timed("task", lambda result, failure: told.append((result, failure)))("found", None)
     assert told == [("found", None)]

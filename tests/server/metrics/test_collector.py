@@ -5,7 +5,6 @@ import signal
 import socket
 import subprocess
 import sys
-import time
 import urllib.request
 from collections.abc import Callable, Mapping
 from contextlib import closing
@@ -14,6 +13,7 @@ from typing import Any
 
 import pytest
 import zenoh
+from processes import Processes
 from prometheus_client.parser import text_string_to_metric_families
 
 Ask = Callable[..., dict[str, Any]]
@@ -60,6 +60,7 @@ def test_the_numbers_agree_with_what_the_server_answers(
     make_trial: MakeTrial,
     reach: dict[str, Any],
     plain: Callable[[str], zenoh.Session],
+    processes: Processes,
 ) -> None:
     ask = connect(endpoint)
     ask("rpc/create_task", reach)
@@ -76,9 +77,9 @@ def test_the_numbers_agree_with_what_the_server_answers(
     ask("task/reach/admin/configure", {"changes": {"budget": 9}})
     session = plain(endpoint)
     token = session.liveliness().declare_token("crkr/@v1/task/reach/live/worker/bob")
-    deadline = time.monotonic() + 10
-    while {worker["state"] for worker in ask("task/reach/rpc/status")["workers"]} != {"alive", "unannounced"}:
-        assert time.monotonic() < deadline
+    processes.wait_until(
+        lambda: {one["state"] for one in ask("task/reach/rpc/status")["workers"]} == {"alive", "unannounced"}
+    )
     status = ask("task/reach/rpc/status")
     found = scraped(metrics_port)
     assert token is not None  # held until here
@@ -133,7 +134,7 @@ def test_the_numbers_agree_with_what_the_server_answers(
 
 
 def test_the_endpoint_ends_with_the_server_and_only_loopback_is_listened_on(
-    start_server: Callable[..., Any], metrics_port: int, processes: Any
+    start_server: Callable[..., Any], metrics_port: int, processes: Processes
 ) -> None:
     server = start_server("--metrics", str(metrics_port))
     held = socket.create_connection(("127.0.0.1", metrics_port))  # a scraper that never asks delays nothing
@@ -148,7 +149,7 @@ def test_the_endpoint_ends_with_the_server_and_only_loopback_is_listened_on(
 
 
 def test_a_file_that_vanishes_while_they_are_counted_costs_no_scrape(
-    start_server: Callable[..., Any], metrics_port: int, processes: Any
+    start_server: Callable[..., Any], metrics_port: int, processes: Processes
 ) -> None:
     server = start_server("--metrics", str(metrics_port))
     processes.wait_until(lambda: "listening on" in server.log.read_text(), server.log)

@@ -8,9 +8,8 @@ from collections.abc import Callable
 from contextlib import ExitStack, closing
 from typing import Any
 
-import pytest
+from processes import Processes
 
-from crkr.server.metrics import endpoint as metrics_endpoint
 from crkr.server.metrics.endpoint import MetricsEndpoint
 
 MOST = 16
@@ -27,7 +26,7 @@ def threads(pid: int) -> int:
 
 
 def test_connections_that_are_held_keep_no_scraper_out_and_are_bounded(
-    start_server: Callable[..., Any], free_port: int, processes: Any
+    start_server: Callable[..., Any], free_port: int, processes: Processes
 ) -> None:
     server, address = start_server("--metrics", str(free_port)), f"127.0.0.1:{free_port}"
     before = threads(server.process.pid)
@@ -46,10 +45,9 @@ def test_connections_that_are_held_keep_no_scraper_out_and_are_bounded(
     assert "Traceback" not in server.log.read_text()
 
 
-def test_one_that_says_nothing_is_cut_off(monkeypatch: pytest.MonkeyPatch, processes: Any) -> None:
-    monkeypatch.setattr(metrics_endpoint, "_PATIENCE_S", 0.1)
+def test_one_that_says_nothing_is_cut_off(processes: Processes) -> None:
     before = threading.active_count()
-    with closing(MetricsEndpoint("127.0.0.1", 0)) as endpoint:
+    with closing(MetricsEndpoint("127.0.0.1", 0, patience_s=0.1)) as endpoint:
         host, _, port = endpoint.address.rpartition(":")
         with socket.create_connection((host, int(port)), timeout=10) as silent:
             assert silent.recv(1) == b""

@@ -8,6 +8,7 @@ import msgpack
 import numpy as np
 import pytest
 import zenoh
+from processes import Processes
 
 from crkr.protocol import task_key
 from crkr.server.metrics.durations import Latencies
@@ -54,7 +55,7 @@ def test_questions_of_little_work_overtake_those_of_much(
     make_trial: MakeTrial,
     plain: Callable[[str], zenoh.Session],
     shared_endpoint: str,
-    processes: Any,
+    processes: Processes,
 ) -> None:
     ask("task/reach/rpc/report", {"trials": [make_trial(1)], "wait": True})
     payload = packed(asked_states())

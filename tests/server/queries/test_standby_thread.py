@@ -1,9 +1,9 @@
 """One thread is always at work, whatever becomes of those that block."""
 
 import threading
-from typing import Any
 
 import pytest
+from processes import Processes
 
 from crkr.server.queries.standby_thread import StandbyThread
 
@@ -30,11 +30,11 @@ class BlockingWork:
         self.ended.append(turn)
 
 
-def until(processes: Any, work: BlockingWork, count: int) -> None:
+def until(processes: Processes, work: BlockingWork, count: int) -> None:
     processes.wait_until(lambda: len(work.done) == count)
 
 
-def test_another_thread_replaces_one_that_blocks(processes: Any) -> None:
+def test_another_thread_replaces_one_that_blocks(processes: Processes) -> None:
     work = BlockingWork(["a", "stuck", "b", "stuck", "c"])
     work.standby.start()
     until(processes, work, 3)
@@ -47,7 +47,7 @@ def test_another_thread_replaces_one_that_blocks(processes: Any) -> None:
     work.standby.join(30.0)
 
 
-def test_the_number_of_blocked_threads_is_bounded(processes: Any) -> None:
+def test_the_number_of_blocked_threads_is_bounded(processes: Processes) -> None:
     work = BlockingWork(["stuck"] * 40)
     work.standby.start()
     processes.wait_until(lambda: len(work.tasks) == 24)
@@ -61,7 +61,7 @@ def test_the_number_of_blocked_threads_is_bounded(processes: Any) -> None:
 
 
 @pytest.mark.parametrize("count", [1, 500])
-def test_one_that_is_never_held_up_stays_goes_on(count: int, processes: Any) -> None:
+def test_one_that_is_never_held_up_stays_goes_on(count: int, processes: Processes) -> None:
     work = BlockingWork([str(number) for number in range(count)])
     work.standby.start()
     until(processes, work, count)

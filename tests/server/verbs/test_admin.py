@@ -1,12 +1,12 @@
 """Changes after the fact: exact, durable, and refused where they make no sense."""
 
-import time
 from collections.abc import Callable
 from typing import Any
 from uuid import UUID
 
 import numpy as np
 import pytest
+from processes import Processes
 
 Ask = Callable[..., dict[str, Any]]
 Numbers = Callable[[Any], np.ndarray[Any, Any]]
@@ -110,13 +110,13 @@ def test_new_settings_are_answered_with_the_fitted_numbers_that_stay_in_force(
 
 
 def test_fits_come_by_themselves_where_the_settings_ask_for_them(
-    ask: Ask, trials: list[dict[str, Any]], make_trial: MakeTrial, numbers: Numbers
+    ask: Ask, trials: list[dict[str, Any]], make_trial: MakeTrial, numbers: Numbers, processes: Processes
 ) -> None:
     ask("task/reach/admin/configure", {"changes": {"refit_every": 5, "budget": 40}})
     ask("task/reach/rpc/report", {"trials": [make_trial(COUNT + n) for n in range(5)], "wait": True})
-    deadline = time.monotonic() + 20
-    while numbers(ask("task/reach/rpc/status")["hyperparameters"]["lengthscales"]).tolist() == [0.2, 0.4]:
-        assert time.monotonic() < deadline, "no fit came"
+    processes.wait_until(
+        lambda: numbers(ask("task/reach/rpc/status")["hyperparameters"]["lengthscales"]).tolist() != [0.2, 0.4]
+    )
     assert ask("task/reach/rpc/status")["seq"] == COUNT + 1 + 1 + 5 + 1
 
 

@@ -8,6 +8,7 @@ import msgpack
 import numpy as np
 import pytest
 import zenoh
+from processes import Processes
 
 Ask = Callable[..., dict[str, Any]]
 Numbers = Callable[[Any], np.ndarray[Any, Any]]
@@ -149,7 +150,7 @@ def test_a_restarted_server_is_guided_as_before(
 
 
 def test_questions_of_little_work_overtake_guided_ones_about_many_states(
-    aim: tuple[Ask, str], ask: Ask, plain: Callable[[str], zenoh.Session], shared_endpoint: str, processes: Any
+    aim: tuple[Ask, str], ask: Ask, plain: Callable[[str], zenoh.Session], shared_endpoint: str, processes: Processes
 ) -> None:
     first, name = aim
     ask("task/reach/rpc/report", {"trials": [{**trials(1)[0], "goal": [0.0] * 3, "success": True, "outcome": None}]})
@@ -171,7 +172,7 @@ def test_what_a_restart_leaves_for_later_holds_up_no_other_task(
     start_server: Callable[..., Server],
     connect: Callable[[str], Ask],
     plain: Callable[[str], zenoh.Session],
-    processes: Any,
+    processes: Processes,
 ) -> None:
     server = start_server()
     ask = connect(server.endpoint)

@@ -3,6 +3,8 @@
 from collections.abc import Callable
 from typing import Any
 
+from processes import RunningServer
+
 Ask = Callable[..., dict[str, Any]]
 MakeTrial = Callable[..., dict[str, Any]]
 REPORT = "task/reach/rpc/report"
@@ -60,7 +62,7 @@ def test_waiting_for_a_duplicate_waits_for_the_model_that_includes_it(ask: Ask, 
     assert ask(REPORT, {"trials": trials[-1:], "wait": True})["model_version"] == 41
 
 
-def test_outcomes_are_kept_with_what_was_not_observed(connect: Callable[[str], Ask], server: Any) -> None:
+def test_outcomes_are_kept_with_what_was_not_observed(connect: Callable[[str], Ask], server: RunningServer) -> None:
     ask = connect(server.endpoint)
     axis = {"name": "x", "unit": "m", "low": 0.0, "high": 1.0}
     outcome = [{"name": name, "unit": "m", "target": 0.0, "tolerance": 0.1, "group": "g"} for name in "ab"]

@@ -5,6 +5,7 @@ from typing import Any
 from uuid import UUID
 
 import pytest
+from processes import Processes
 from typer import Typer
 from typer.testing import CliRunner
 
@@ -33,7 +34,7 @@ def run(command: Callable[..., None], *words: str, status: int = 0) -> str:
     return result.output
 
 
-def test_a_renamed_task_goes_on_under_its_new_name(shared_endpoint: str, processes: Any) -> None:
+def test_a_renamed_task_goes_on_under_its_new_name(shared_endpoint: str, processes: Processes) -> None:
     with Client(shared_endpoint) as client:
         teach(client.create_task(specification("renamed-before", budget=7)))
         client.create_task(specification("renamed-next"))

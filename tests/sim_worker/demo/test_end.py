@@ -1,7 +1,8 @@
 """How a demo ends: each process is interrupted once and has the time that it needs."""
 
 from pathlib import Path
-from typing import Any
+
+from processes import Processes
 
 from crkr.dashboard import command, poller, viewer
 from crkr.sim_worker.demo import process, processes
@@ -15,7 +16,7 @@ def test_watch_has_the_time_that_its_own_limits_add_up_to() -> None:
     assert processes.WORKERS_END_S < processes.END_S - 1.5  # what the server gets when the workers take all of theirs
 
 
-def test_a_process_is_interrupted_once_however_often_it_is_asked(tmp_path: Path, processes: Any) -> None:
+def test_a_process_is_interrupted_once_however_often_it_is_asked(tmp_path: Path, processes: Processes) -> None:
     """Its second SIGINT would end it where it stands; the first is enough for `crkr watch` to end in order."""
     nobody = ["--timeout", "0.5", "--connect", "tcp/127.0.0.1:1"]
     child = DemoProcess("watch", ["watch", "crane", "--terminal", *nobody], tmp_path)

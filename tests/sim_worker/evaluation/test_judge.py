@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
+from processes import Processes
 
 from crkr.client import Task
 from crkr.protocol import StoredTrial, UnknownTask
@@ -62,7 +63,7 @@ def test_the_first_epochs_model_knows_the_demonstrations_only(train: Start, task
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
 def test_when_the_supervisor_that_judges_ends_another_takes_over(
-    number: signal.Signals, train: Start, task: Task, processes: Any
+    number: signal.Signals, train: Start, task: Task, processes: Processes
 ) -> None:
     first = train("--seed", "1")
     processes.wait_until(lambda: 1 in judges(task), first.log)

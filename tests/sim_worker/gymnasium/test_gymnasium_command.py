@@ -7,6 +7,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from processes import RunningServer
+
 from crkr.client import Client
 from crkr.sim_worker import SkillOptions, load_skill
 
@@ -18,7 +20,7 @@ def crkr(*words: str, endpoint: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, capture_output=True, text=True, timeout=90, check=False, cwd=REPOSITORY)
 
 
-def test_workers_learn_an_environment_from_its_name(server: Any) -> None:
+def test_workers_learn_an_environment_from_its_name(server: RunningServer) -> None:
     asked = ["workers", "gymnasium:FetchReach-v4", "--trials", "40", "--evaluations", "0", "--seed", "1", "--json"]
     done = crkr(*asked, endpoint=server.endpoint)
     assert done.returncode == 0, done.stderr
@@ -32,7 +34,7 @@ def test_workers_learn_an_environment_from_its_name(server: Any) -> None:
     assert all(trial.outcome is not None for trial in kept)
 
 
-def test_the_example_runs_by_several_workers(server: Any) -> None:
+def test_the_example_runs_by_several_workers(server: RunningServer) -> None:
     words = [
         "workers",
         "examples/gymnasium_reacher.py:make",
@@ -50,7 +52,7 @@ def test_the_example_runs_by_several_workers(server: Any) -> None:
         assert [axis.name for axis in client.task("reacher-v5").spec.goal] == ["joint0", "joint1"]
 
 
-def test_an_environment_that_is_not_there_is_told_in_one_line(server: Any) -> None:
+def test_an_environment_that_is_not_there_is_told_in_one_line(server: RunningServer) -> None:
     done = crkr("workers", "gymnasium:Flying-v0", endpoint=server.endpoint)
     assert done.returncode == 1
     error = done.stderr.strip().splitlines()[-1]

@@ -16,6 +16,7 @@ from typing import Any, final
 
 import pytest
 from network_namespaces import inside, ip, two_machines
+from processes import Processes
 
 from crkr.sim_worker.places.ray_cluster import part_plans
 from crkr.sim_worker.skill import SkillOptions
@@ -53,7 +54,7 @@ def environment(folder: Path) -> dict[str, str]:
 class Cluster:
     """A crkr server and Ray nodes on two machines; `crkr workers` starts on the first."""
 
-    def __init__(self, folder: Path, machines: tuple[str, str], stack: ExitStack, processes: Any) -> None:
+    def __init__(self, folder: Path, machines: tuple[str, str], stack: ExitStack, processes: Processes) -> None:
         self.folder, self.machines, self._stack, self._processes = folder, machines, stack, processes
         self.endpoint = f"tcp/{HEAD}:7447"
         # Ray's sockets have paths of their own below this folder, and a socket's path is at most 107 characters.
@@ -140,7 +141,7 @@ def kill(pid: int) -> None:
         os.kill(pid, signal.SIGKILL)
 
 
-def simulations(node: int, processes: Any) -> list[int]:
+def simulations(node: int, processes: Processes) -> list[int]:
     """Processes on a node that run trials."""
     return [pid for pid in processes.descendants(node) if "spawn_main" in processes.command_line(pid)]
 
@@ -152,7 +153,7 @@ def result_of(log: Path) -> dict[str, Any]:
 
 
 @pytest.fixture
-def cluster(tmp_path: Path, processes: Any) -> Iterator[Cluster]:
+def cluster(tmp_path: Path, processes: Processes) -> Iterator[Cluster]:
     with two_machines() as machines, ExitStack() as stack:
         made = Cluster(tmp_path, machines, stack, processes)
         made.serve()
@@ -172,7 +173,7 @@ def test_places_share_all_workers_and_no_seed(workers: int, per_place: int, expe
     assert parts == part_plans(plan(workers), per_place)
 
 
-def test_a_run_on_two_nodes_meets_its_total_and_ctrl_c_ends_the_next(cluster: Cluster, processes: Any) -> None:
+def test_a_run_on_two_nodes_meets_its_total_and_ctrl_c_ends_the_next(cluster: Cluster, processes: Processes) -> None:
     cluster.node(1, "other")
     first, log = cluster.train("first", "--trials", "120")
     assert first.wait(timeout=PATIENCE_S) == 0, log.read_text()
@@ -208,7 +209,7 @@ def test_unknown_places_are_listed() -> None:
 
 @pytest.mark.campaign
 @pytest.mark.timeout(400)
-def test_workers_of_a_killed_node_start_again_when_it_comes_back(cluster: Cluster, processes: Any) -> None:
+def test_workers_of_a_killed_node_start_again_when_it_comes_back(cluster: Cluster, processes: Processes) -> None:
     node = cluster.node(1, "other")
     train, log = cluster.train("train", "--trials", "3000")
     processes.wait_until(lambda: cluster.training() > 50, log)
@@ -226,7 +227,7 @@ def test_workers_of_a_killed_node_start_again_when_it_comes_back(cluster: Cluste
 
 @pytest.mark.campaign
 @pytest.mark.timeout(300)
-def test_ctrl_c_ends_a_run_whose_node_cannot_be_reached(cluster: Cluster, processes: Any) -> None:
+def test_ctrl_c_ends_a_run_whose_node_cannot_be_reached(cluster: Cluster, processes: Processes) -> None:
     node = cluster.node(1, "other")
     train, log = cluster.train("train")
     processes.wait_until(lambda: simulations(node.pid, processes) and cluster.training() > 50, log)
@@ -238,7 +239,7 @@ def test_ctrl_c_ends_a_run_whose_node_cannot_be_reached(cluster: Cluster, proces
 
 @pytest.mark.campaign
 @pytest.mark.timeout(300)
-def test_nothing_outlives_a_killed_driver(cluster: Cluster, processes: Any) -> None:
+def test_nothing_outlives_a_killed_driver(cluster: Cluster, processes: Processes) -> None:
     node = cluster.node(1, "other")
     train, log = cluster.train("train")
     processes.wait_until(lambda: cluster.training() > 50, log)

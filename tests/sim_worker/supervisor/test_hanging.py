@@ -8,6 +8,7 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
+from processes import Processes
 
 from crkr.client import Client, Task
 from crkr.protocol import Unavailable, UnknownTask
@@ -27,7 +28,7 @@ def train(start_command: Start, task: Task, shared_endpoint: str) -> Start:
     return start
 
 
-def wait_for_trials(task: Task, processes: Any, command: Any, least: int) -> None:
+def wait_for_trials(task: Task, processes: Processes, command: Any, least: int) -> None:
     def stored() -> bool:
         try:
             return int(sum(task.status()["samples"].values())) > least
@@ -48,7 +49,7 @@ def states(task: Task) -> list[str]:
 
 
 def test_a_stopped_worker_is_given_up_in_one_line_and_the_other_meets_the_total(
-    train: Start, task: Task, processes: Any
+    train: Start, task: Task, processes: Processes
 ) -> None:
     command = train("make", "-n", "2", "--trials", "400", "--evaluations", "10")
     wait_for_trials(task, processes, command, 30)
@@ -77,7 +78,7 @@ def test_simulations_that_never_return_are_given_up(train: Start, task: Task) ->
 
 
 def test_workers_that_wait_for_the_server_do_not_hang(
-    start_server: Start, start_command: Start, task: Task, processes: Any
+    start_server: Start, start_command: Start, task: Task, processes: Processes
 ) -> None:
     server = start_server()
     words = ("--task", task.name, "--connect", server.endpoint, "--trials", "1000", "--evaluations", "0", "--json")

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from processes import Processes
 
 from crkr.client import Client, Task
 from crkr.protocol import UnknownTask
@@ -38,7 +39,7 @@ def trained(task: Task) -> int:
     return len(trials(task, "trial", "failed"))
 
 
-def under_way(task: Task, processes: Any, command: Any, least: int = 20) -> None:
+def under_way(task: Task, processes: Processes, command: Any, least: int = 20) -> None:
     """Returns once workers have stored some trials."""
 
     def stored() -> bool:
@@ -50,7 +51,7 @@ def under_way(task: Task, processes: Any, command: Any, least: int = 20) -> None
     processes.wait_until(stored, command.log)
 
 
-def test_a_killed_worker_is_named_and_the_rest_meet_the_total(train: Start, task: Task, processes: Any) -> None:
+def test_a_killed_worker_is_named_and_the_rest_meet_the_total(train: Start, task: Task, processes: Processes) -> None:
     command = train("-n", "3", "--trials", "400", "--seed", "1")
     under_way(task, processes, command)
     os.kill(command.members()[-1], signal.SIGKILL)
@@ -60,7 +61,7 @@ def test_a_killed_worker_is_named_and_the_rest_meet_the_total(train: Start, task
     assert trained(task) == 400
 
 
-def test_a_total_counts_the_trials_that_others_report_meanwhile(train: Start, task: Task, processes: Any) -> None:
+def test_a_total_counts_the_trials_that_others_report_meanwhile(train: Start, task: Task, processes: Processes) -> None:
     command = train("-n", "2", "--trials", "600", "--seed", "1")
     for count in (50, 200, 500):
         under_way(task, processes, command, least=count)
@@ -71,7 +72,7 @@ def test_a_total_counts_the_trials_that_others_report_meanwhile(train: Start, ta
 
 
 def test_when_the_last_worker_is_lost_the_supervisor_fails_with_one_line(
-    train: Start, task: Task, processes: Any
+    train: Start, task: Task, processes: Processes
 ) -> None:
     command = train("-n", "2", "--seed", "1")
     under_way(task, processes, command)
@@ -82,7 +83,7 @@ def test_when_the_last_worker_is_lost_the_supervisor_fails_with_one_line(
     assert [line for line in log.splitlines() if line.startswith("error: ")] == ["error: all workers are lost"]
 
 
-def test_what_a_lost_worker_had_to_judge_is_judged_by_another(train: Start, task: Task, processes: Any) -> None:
+def test_what_a_lost_worker_had_to_judge_is_judged_by_another(train: Start, task: Task, processes: Processes) -> None:
     command = train("-n", "2", "--trials", "150", "--seed", "1", evaluations=40)
     under_way(task, processes, command, least=6)
     os.kill(command.members()[0], signal.SIGKILL)
@@ -93,7 +94,7 @@ def test_what_a_lost_worker_had_to_judge_is_judged_by_another(train: Start, task
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_ends_every_process_within_five_seconds_with_a_summary(
-    number: signal.Signals, train: Start, task: Task, processes: Any
+    number: signal.Signals, train: Start, task: Task, processes: Processes
 ) -> None:
     command = train("-n", "2", "--seed", "1", evaluations=10)
     under_way(task, processes, command)
@@ -117,7 +118,7 @@ def test_a_signal_ends_every_process_within_five_seconds_with_a_summary(
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
 def test_what_a_terminal_sends_to_the_whole_group_ends_it_quietly(
-    number: signal.Signals, train: Start, task: Task, processes: Any
+    number: signal.Signals, train: Start, task: Task, processes: Processes
 ) -> None:
     command = train("-n", "2", "--seed", "1")
     under_way(task, processes, command)
@@ -129,7 +130,7 @@ def test_what_a_terminal_sends_to_the_whole_group_ends_it_quietly(
     assert "Traceback" not in log
 
 
-def test_nothing_outlives_a_killed_supervisor(train: Start, task: Task, processes: Any) -> None:
+def test_nothing_outlives_a_killed_supervisor(train: Start, task: Task, processes: Processes) -> None:
     command = train("-n", "2", "--seed", "1", evaluations=10)
     under_way(task, processes, command)
     everyone = processes.descendants(command.process.pid)
@@ -221,7 +222,7 @@ def test_workers_give_up_on_a_server_that_never_comes(start_command: Start, free
 
 
 def test_a_call_to_a_server_that_is_held_has_the_deadline_that_was_asked_for(
-    train: Start, task: Task, start_server: Start, processes: Any, tmp_path: Path
+    train: Start, task: Task, start_server: Start, processes: Processes, tmp_path: Path
 ) -> None:
     server = start_server(data=tmp_path / "held")
     command = train("--trials", "1200", "--seed", "1", "--timeout", "1.5", endpoint=server.endpoint)
@@ -239,7 +240,7 @@ def test_a_call_to_a_server_that_is_held_has_the_deadline_that_was_asked_for(
 
 
 def test_a_server_that_was_killed_and_comes_back_finds_its_workers_at_work(
-    train: Start, task: Task, start_server: Start, processes: Any, tmp_path: Path, free_port: int
+    train: Start, task: Task, start_server: Start, processes: Processes, tmp_path: Path, free_port: int
 ) -> None:
     data = tmp_path / "restarted"
     first = start_server(data=data, port=free_port)

@@ -34,7 +34,8 @@ class _Wait:
 class Waits:
     """Counts waiting requests by task, and measures how long they wait; any thread may."""
 
-    def __init__(self) -> None:
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
         self._lock = threading.Lock()
         self._of: dict[str, _Wait] = {}
 
@@ -54,14 +55,14 @@ class Waits:
         self, task: str, done: Callable[[Any, Exception | None], None]
     ) -> Callable[[Any, Exception | None], None]:
         """Count one more waiting request until the returned callback, which calls `done`, is called."""
-        began = time.monotonic()
+        began = self._clock()
         with self._lock:
             wait = self._of.setdefault(task, _Wait())
             wait.count += 1
             place = wait.count
 
         def ended(result: Any, failure: Exception | None) -> None:
-            each_s = (time.monotonic() - began) / place
+            each_s = (self._clock() - began) / place
             with self._lock:
                 wait.count -= 1
                 wait.each_s = each_s if wait.each_s is None else wait.each_s + _WEIGHT * (each_s - wait.each_s)

@@ -40,12 +40,12 @@ class MetricsEndpoint:
         Unavailable: The address cannot be listened on, e.g. the port is taken.
     """
 
-    def __init__(self, host: str, port: int) -> None:
+    def __init__(self, host: str, port: int, *, patience_s: float = _PATIENCE_S) -> None:
         disable_created_metrics()  # type: ignore[no-untyped-call]  # else each comes with the time of its first value
         self._registry = CollectorRegistry()
         ProcessCollector(registry=self._registry)
         handler = MetricsHandler.factory(self._registry)
-        handler.timeout = _PATIENCE_S  # type: ignore[attr-defined]  # every request handler has one
+        handler.timeout = patience_s  # type: ignore[attr-defined]  # every request handler has one
         try:
             self._http = (_Http6 if ":" in host else _Http)((host, port), handler)
         except OSError as error:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -54,10 +55,10 @@ class DemoSettings:
         return self.data / "logs"
 
 
-def check_extras(dashboard: bool) -> None:
+def check_extras(dashboard: bool, packages: Mapping[str, str] = PACKAGES) -> None:
     """Raises `Unsupported`, which names every extra that a demo lacks, with or without its dashboard."""
-    needed = [extra for extra in PACKAGES if dashboard or extra != "dashboard"]
-    missing = [extra for extra in needed if find_spec(PACKAGES[extra]) is None]
+    needed = [extra for extra in packages if dashboard or extra != "dashboard"]
+    missing = [extra for extra in needed if find_spec(packages[extra]) is None]
     if missing == ["dashboard"]:
         return  # the demo runs without it, and says so
     if missing:

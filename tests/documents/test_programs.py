@@ -119,6 +119,15 @@ def test_every_command_of_a_page_exists_with_its_options(page: Path) -> None:
     assert wrong == []
 
 
+def test_every_command_has_an_example_that_calls_it() -> None:
+    root: Any = get_command(build(["--help"]))
+    every = dict(root.commands)
+    for group, parent in root.commands.items():
+        every |= {f"{group} {name}": each for name, each in getattr(parent, "commands", {}).items()}
+    assert len(every) > 40
+    assert [name for name, each in every.items() if not re.search(rf"Example: .*\bcrkr {name}\b", each.help)] == []
+
+
 def test_every_page_with_a_program_is_run_by_a_test() -> None:
     tests = "\n".join(path.read_text() for path in (REPOSITORY / "tests").rglob("test_*.py"))
     lacking = [page.name for page in PAGES if blocks(page, "python") and f'{page.name}"' not in tests]

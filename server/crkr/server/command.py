@@ -41,7 +41,10 @@ _EXIT_PATIENCE_S: Final = 1.9  # then the process leaves as it is: everything ac
 
 def server(
     listen: Annotated[
-        str | None, typer.Option(help="Zenoh endpoint, tcp/127.0.0.1:7447 unless a configuration file says otherwise.")
+        str | None,
+        typer.Option(
+            metavar="ENDPOINT", help="Zenoh endpoint, tcp/127.0.0.1:7447 unless a configuration file says otherwise."
+        ),
     ] = None,
     data: Annotated[
         str, typer.Option(metavar="DIR|URL", help="Data directory, made where there is none, or postgresql://...")
@@ -70,7 +73,10 @@ def server(
     ] = None,
     log_level: Annotated[str, typer.Option(envvar="CRKR_LOG_LEVEL", help="debug, info, warning or error.")] = "info",
 ) -> None:
-    """Run the policy service: `crkr server --listen tcp/127.0.0.1:7447 --data crkr-data --metrics 9464`."""
+    """Run the policy service. Ctrl-C ends it; the same command goes on with what is stored.
+
+    Example: crkr server --listen tcp/127.0.0.1:7447 --data crkr-data --web 8080
+    """
     from crkr.protocol import ShuttingDown, printable
     from crkr.server.log.postgres.url import is_url, printable_location
     from crkr.server.server import Server, ServerSettings

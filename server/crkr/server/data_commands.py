@@ -27,7 +27,10 @@ def replay(
     data: Data,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON value for programs.")] = False,
 ) -> None:
-    """Check that a log is whole and that log and model agree: `crkr replay crkr-data`."""
+    """Check that a log is whole and that log and model agree.
+
+    Example: crkr replay crkr-data
+    """
     from crkr.protocol import StorageError, printable
     from crkr.server.log import read_log
     from crkr.server.log.postgres.url import printable_location
@@ -56,12 +59,15 @@ def purge(
     data: Data,
     yes: Annotated[bool, typer.Option("--yes", help="Remove them; without it they are only listed.")] = False,
     restore: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Bring this deleted task back, under the name it had.")
+        str | None,
+        typer.Option(metavar="NAME", help="Bring this deleted task back, under the name it had; either name will do."),
     ] = None,
 ) -> None:
-    """List deleted tasks, and with --yes remove them from the log for good: `crkr purge crkr-data --yes`.
+    """List deleted tasks, and with --yes remove them from the log for good.
 
     Stop the server first. Backups that were made before keep the tasks.
+
+    Example: crkr purge crkr-data --yes
     """
     from crkr.protocol import Invalid, printable
     from crkr.server.log import DELETED
@@ -74,12 +80,14 @@ def purge(
     try:
         gone = [name for name in log.reads.tasks() if name.startswith(DELETED)]
         if restore is not None:
-            if restore not in gone:
-                raise Invalid(f"there is no deleted task {restore!r}; there are: {', '.join(gone) or 'none'}")
-            back = restore.removeprefix(DELETED).partition("/")[0]
+            meant = [name for name in gone if restore in (name, _earlier(name))]
+            if len(meant) != 1:
+                found = "are several deleted tasks" if meant else "is no deleted task"
+                raise Invalid(f"there {found} {restore!r}; choose one of: {', '.join(meant or gone) or 'none'}")
+            back = _earlier(meant[0])
             if back in log.reads.tasks():
                 raise Invalid(f"there is another task {back!r} now; rename that first")
-            log.append_event(restore, "rename", {"name": back})
+            log.append_event(meant[0], "rename", {"name": back})
             typer.echo(f"{printable(back)} is back")
             return
         for name in log.purge() if yes else gone:
@@ -90,14 +98,23 @@ def purge(
         log.close()
 
 
+def _earlier(name: str) -> str:
+    """The name that a deleted task had."""
+    from crkr.server.log import DELETED
+
+    return name.removeprefix(DELETED).partition("/")[0]
+
+
 def backup(
     data: Data,
     target: Annotated[Path, typer.Argument(help="New file to write.", show_default=False)],
 ) -> None:
-    """Copy a log into one file, also while a server uses it: `crkr backup crkr-data monday.sqlite3`.
+    """Copy a log into one file, also while a server uses it.
 
     To restore, put the file into an empty directory under the name crkr.sqlite3. To restore to PostgreSQL,
     `crkr copy` that directory.
+
+    Example: crkr backup crkr-data monday.sqlite3
     """
     from crkr.protocol import printable
     from crkr.server.log.access import database_file
@@ -131,9 +148,11 @@ def copy(
     ],
     task: Annotated[list[str] | None, typer.Option("--task", help="Only this task; may be given again.")] = None,
 ) -> None:
-    """Copy tasks between data directories and databases, and check them: `crkr copy crkr-data postgresql://host/crkr`.
+    """Copy tasks between data directories and databases, and check them.
 
     What the server of the source stores meanwhile is not copied: stop it first, or let it archive the task.
+
+    Example: crkr copy crkr-data postgresql://host/crkr
     """
     from crkr.protocol import StorageError, printable
     from crkr.server.log import read_log

@@ -22,6 +22,7 @@ from crkr.sim_worker.worker.telemetry import thinned
 __all__ = ["Remark", "check", "problems"]
 
 _STATES: Final = 40  # drawn, and as many goals tried
+_MARGIN: Final = 0.05  # of a state's box, which sampled boxes are short of
 _STEPS: Final = 12  # pairs of neighbouring goals
 _STEP: Final = 0.01  # of the bounds, between neighbours
 _ROUGH: Final = 0.25  # of an outcome's spread, by which neighbours may differ
@@ -105,7 +106,8 @@ def _situations(skill: GuardedSkill, spec: TaskSpec, seed: int) -> Iterator[Rema
         yield Remark("warning", "reset", "the same rng gives another state; draw from it alone, so that runs repeat")
     low, high = (np.array([getattr(axis, end) for axis in spec.state]) for end in ("low", "high"))
     for axis, column, least, most in zip(spec.state, states.T, low, high, strict=True):
-        outside = int(np.count_nonzero((column < least) | (column > most)))
+        margin = _MARGIN * (most - least)
+        outside = int(np.count_nonzero((column < least - margin) | (column > most + margin)))
         if outside:
             yield Remark("warning", "reset", f"{axis.name} leaves its box in {outside} of {_STATES} states; widen it")
         if len(np.unique(column)) == 1:

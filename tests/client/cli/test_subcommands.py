@@ -170,3 +170,10 @@ def test_numpy_starts_with_one_thread_unless_the_user_wants_more() -> None:
         timeout=60,
     )
     assert run.stdout.splitlines()[-1] == "1 3"
+
+
+def test_whoever_forgets_the_quotes_of_a_vector_is_told() -> None:
+    shown = crkr("predict", "throw", "--state", "0.3", "1.2")
+    assert shown.returncode == 2
+    assert 'as in --state "0.1 0.2"' in " ".join(shown.stderr.replace("│", " ").split())
+    assert "unexpected extra argument" in crkr("status", "throw", "1.2").stderr

@@ -69,7 +69,7 @@ def test_a_trial_is_amended_and_the_correction_taken_back(run: Run, task: str) -
 
 
 def test_a_person_tries_goals_and_says_which_hit(run: Run, task: str) -> None:
-    typed = "1.5|h||" + "|h 0.3|0.25|" + "oops|2.0|what|m 7|m 0,3|m 0.3 0.5|m||" + "1|s|" + "1|f|" + "1|u|h||" + "1|q|"
+    typed = "1.5|h||" + "|h 0.3|0.25|" + "oops|2.0|what|m 7|m 0,3|m 0.3 0.5|m||" + "1|s|" + "1|f|" + "u|1|h||" + "1|q|"
     shown = run("ask", task, typed=typed.replace("|", "\n"))
     trials = listed(run, task, "--last", "5")
     assert [(one["kind"], one["success"], one["cost"]) for one in trials[:4]] == [
@@ -81,6 +81,7 @@ def test_a_person_tries_goals_and_says_which_hit(run: Run, task: str) -> None:
     assert "4 trials" in shown.stdout
     assert str(trials[0]["id"]) in shown.stdout
     assert "cost must be" in shown.stderr
+    assert "as 0.1 0.2; got 'oops'" in shown.stderr
     assert shown.stderr.count("the cost is one number, as in h 0.3") == 2
 
 

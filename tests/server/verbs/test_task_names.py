@@ -138,7 +138,8 @@ def test_a_deleted_task_frees_its_name_and_stays_until_it_is_purged(start_server
         client.task("gone").delete()
     server.process.terminate()
     assert server.process.wait(60) == 0
-    assert run(purge, str(server.data), "--restore", run(purge, str(server.data)).strip()) == "gone is back\n"
+    run(purge, str(server.data), "--restore", "kept", status=1)
+    assert run(purge, str(server.data), "--restore", "gone") == "gone is back\n"
     server = start_server(data=server.data, port=server.port)
     with Client(server.endpoint, timeout_s=20.0) as client:
         task = client.task("gone")

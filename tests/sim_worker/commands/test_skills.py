@@ -135,6 +135,7 @@ def test_a_changed_specification_begins_anew_with_fresh(crkr: Crkr, tmp_path: Pa
         ({}, "ok", "repeated trials are equal"),
         ({"state": "self.x, 1.0"}, "problem", "the state"),
         ({"state": "7 * self.x"}, "warning", "x leaves its box"),
+        ({"state": "1.02 * self.x"}, "ok", "40 states"),
         ({"state": "0.3"}, "warning", "x is 0.3 in all states"),
         ({"execute": "raise RuntimeError('motor')"}, "problem", "RuntimeError: motor"),
         ({"execute": "return 3"}, "problem", "must return a TrialResult"),

@@ -106,7 +106,8 @@ def parse_vector(text: str, option: str) -> list[float]:
     try:
         return [float(word) for word in words]
     except ValueError as error:
-        raise typer.BadParameter(f'{option} takes numbers in quotes, as in {option} "0.1 0.2"; got {text!r}') from error
+        example = f'in quotes, as in {option} "0.1 0.2"' if option.startswith("-") else "as 0.1 0.2"
+        raise typer.BadParameter(f"{option} takes numbers {example}; got {text!r}") from error
 
 
 def check_count(numbers: Sequence[float], option: str, axes: Sequence[StateDimension | GoalDimension]) -> None:
@@ -124,5 +125,5 @@ def parse_ids(texts: list[str]) -> list[UUID]:
         try:
             ids.append(UUID(text))
         except ValueError as error:
-            raise typer.BadParameter(f"an id is a UUID, as `crkr explain` prints it; got {text!r}") from error
+            raise typer.BadParameter(f"an id is a UUID, as `crkr trials` lists it; got {text!r}") from error
     return ids

@@ -7,7 +7,7 @@ from importlib.metadata import EntryPoint, entry_points, version
 from typing import Annotated, Any, Final, final
 
 import typer
-from typer.core import TyperGroup
+from typer.core import TyperCommand, TyperGroup
 
 from crkr.client.cli.error_lines import guarded, later_python, reason_missing
 
@@ -20,13 +20,14 @@ _PANELS: Final[Mapping[str, tuple[str, ...]]] = {
     "Judge": ("page", "evaluate", "oracle", "render", "plot", "experiment", "bench"),
     "Correct a task": ("amend", "undo", "recost", "remove", "rollback"),
     "Manage a task": ("refit", "configure", "rename", "archive", "delete"),
-    "Data": ("export", "import", "warm-start", "backup", "replay", "purge"),
+    "Data": ("export", "import", "warm-start", "backup", "copy", "replay", "purge"),
 }
 _GROUP_HELP: Final[Mapping[str, str]] = {
     "bench": "Measure this machine, side by side with a bare baseline.\n\nExample: crkr bench predict",
     "plot": "Draw what was learned.\n\nExample: crkr plot policy table-tennis --vary ball_y",
     "experiment": "Repeat learning runs over seeds and judge them.\n\nExample: crkr experiment learning --seeds 3",
 }
+_VECTORS: Final = ("--state", "--goal", "--outcome")
 _HELP: Final = """A policy service for robots that learn by trying.
 
 Start with `crkr demo`, or with `crkr server` and `crkr create`.
@@ -41,6 +42,22 @@ class _Group(TyperGroup):
         if args and args[0] not in self.commands:
             ctx.fail(f"no command {args[0]!r}; there are: {', '.join(self.list_commands(ctx))}")
         return super().resolve_command(ctx, args)
+
+
+@final
+class _Command(TyperCommand):
+    """A command that tells whoever forgot the quotes of a vector so."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        vector = next((word for word in args if word in _VECTORS), None)  # parsing takes them out of the list
+        try:
+            return super().parse_args(ctx, args)
+        except Exception as error:  # the class is Typer's or Click's, by Typer's version
+            if vector is None or "unexpected extra argument" not in str(error):
+                raise
+            raise typer.BadParameter(
+                f'its numbers need quotes, as in {vector} "0.1 0.2"', ctx, param_hint=vector
+            ) from None
 
 
 def build(arguments: list[str]) -> typer.Typer:
@@ -100,7 +117,7 @@ def _register(app: typer.Typer, name: str, entry: EntryPoint, panel: str | None)
     reason = later_python(command, module)
     if reason is None:
         try:
-            app.command(name, rich_help_panel=panel)(guarded(entry.load(), command, module))
+            app.command(name, cls=_Command, rich_help_panel=panel)(guarded(entry.load(), command, module))
         except (ImportError, AttributeError) as error:
             reason = reason_missing(error, command, module)
         else:

@@ -113,7 +113,12 @@ def archive(
 def rollback(
     client: Client,
     task: TaskName,
-    to: Annotated[int, typer.Option("--to", min=1, help="Model version to go back to.")],
+    to: Annotated[
+        int,
+        typer.Option(
+            "--to", min=1, help="Version to go back to: the number of the last trial to keep, from `crkr trials`."
+        ),
+    ],
     reason: Reason = "",
     as_json: Json = False,
 ) -> None:

@@ -81,8 +81,8 @@ class _Session:
         while self._fixed is None:
             again = "" if self._last is None else ", Enter for the same"
             words = _read(f"state ({_names(self._spec.state)}){again}: ")
-            if words in ("q", "quit"):
-                raise _SessionEnded
+            if self._common(words):
+                continue
             if not words and self._last is not None:
                 return self._last
             try:
@@ -99,13 +99,11 @@ class _Session:
         """Read what became of the trial, and report it."""
         while True:
             letter, _, number = _read("hit or miss? ").partition(" ")
-            if letter in ("q", "quit"):
-                raise _SessionEnded
+            if self._common(letter):
+                continue
             if letter in ("s", "skip"):
                 return
-            if letter in ("u", "undo"):
-                self._undo()
-            elif letter in _LABELS:
+            if letter in _LABELS:
                 try:
                     self._report(answer, _LABELS[letter], number)
                     return
@@ -113,6 +111,15 @@ class _Session:
                     stderr.print(f"error: {error}")
             else:
                 stdout.print(_KEYS)
+
+    def _common(self, letter: str) -> bool:
+        """Do what u and q ask for at every question; whether it was u."""
+        if letter in ("q", "quit"):
+            raise _SessionEnded
+        if letter not in ("u", "undo"):
+            return False
+        self._undo()
+        return True
 
     def _report(self, answer: Prediction, label: str, number: str) -> None:
         success, fields = label == "hit", dict[str, Any]()

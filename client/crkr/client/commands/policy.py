@@ -14,6 +14,7 @@ from crkr.client import Client
 from crkr.client.cli.console import print_json, print_table, stderr, stdout
 from crkr.client.cli.options import Json, TaskName, check_count, connected, parse_ids, parse_vector
 from crkr.protocol import Prediction, SampleExplanation, TaskSpec
+from crkr.protocol.messages.explanation import far_from_all
 
 __all__ = ["explain", "predict", "report"]
 
@@ -171,7 +172,9 @@ def _show_prediction(answer: Prediction, spec: TaskSpec) -> None:
             ],
         )
     if answer.success_probability is not None and not math.isnan(float(answer.success_probability)):
-        stdout.print(f"succeeds with probability {float(answer.success_probability):.2f}")
+        far = far_from_all(float(answer.novelty), answer.active)
+        chance = f"succeeds with probability {float(answer.success_probability):.2f}"
+        stdout.print("nothing near was tried: how likely it succeeds is not known" if far else chance)
     stdout.print(
         f"novelty {float(answer.novelty):.3f}, policy {answer.policy}, {answer.active} active samples, "
         f"model {answer.model_version}"

@@ -33,7 +33,8 @@ def status(
 ) -> None:
     """Show the state of the server or of one task.
 
-    Example: crkr status table-tennis        For health probes: crkr status --check --timeout 2
+    Example: crkr status table-tennis
+    Example: crkr status --check --timeout 2    (a health probe)
     """
     try:
         with Client(connect, timeout_s=timeout, zenoh_config=zenoh_config) as client:

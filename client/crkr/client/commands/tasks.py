@@ -27,7 +27,10 @@ def create(
     ] = None,
     skill: Annotated[
         str | None,
-        typer.Option(help="An installed skill, or your own as package.module:factory.", rich_help_panel=_OF_A_SKILL),
+        typer.Option(
+            help="An installed skill, file.py:factory, package.module:factory or gymnasium:ENV-ID.",
+            rich_help_panel=_OF_A_SKILL,
+        ),
     ] = None,
     preset: Annotated[
         str | None, typer.Option(help="Preset of the skill, e.g. tuned.", rich_help_panel=_OF_A_SKILL)

@@ -23,7 +23,7 @@ def trials(
     task: TaskName,
     last: Annotated[int, typer.Option("--last", "-n", min=1, help="How many of the newest.")] = 10,
     worst: Annotated[
-        bool, typer.Option("--worst", help="As many of those of highest cost instead; reads all trials.")
+        bool, typer.Option("--worst", help="Those of highest cost instead, as in --worst --last 3; reads all trials.")
     ] = False,
     ids: Annotated[list[str] | None, typer.Option("--id", metavar="UUID", help="One trial; may be repeated.")] = None,
     as_json: Json = False,

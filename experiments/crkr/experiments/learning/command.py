@@ -25,13 +25,15 @@ def learning(
     seeds: Annotated[int, typer.Option(min=1, max=10_000, help="Runs, one a seed.")] = 10,
     first_seed: Annotated[int, typer.Option(min=0, max=2**30, help="Seed of the first run.")] = 0,
     trials: Annotated[int, typer.Option(min=1, max=1_000_000, help="Training trials of a run.")] = 1500,
-    balls: Annotated[int, typer.Option(min=1, max=1_000_000, help="Fresh contexts to evaluate each run on.")] = 1000,
+    contexts: Annotated[
+        int, typer.Option("--contexts", "--balls", min=1, max=1_000_000, help="Fresh contexts to evaluate each run on.")
+    ] = 1000,
     judge: Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Seed of these contexts.")] = 777,
     demonstrations: Annotated[int, typer.Option(min=0, max=10_000, help="Demonstrations before the first trial.")] = 5,
     launcher: Annotated[str | None, typer.Option(help="Where contexts come from, e.g. nominal.")] = None,
     environment: Annotated[str | None, typer.Option(help="Which simulator, e.g. contact.")] = None,
     preset: Annotated[str | None, typer.Option(help="Which settings, e.g. tuned.")] = None,
-    skill: Annotated[str, typer.Option(help="A skill, or package.module:factory.")] = "table-tennis",
+    skill: Annotated[str, typer.Option(help="A skill, or your own as file.py:factory.")] = "table-tennis",
     oracle: Annotated[bool, typer.Option(help="Play the same contexts by the skill's planner.")] = True,
     jobs: Annotated[int, typer.Option(min=1, max=256, help="Processes of this machine.")] = 2,
     on: Annotated[str, typer.Option("--on", help="Where runs are made: here or ray, a cluster.")] = "here",
@@ -55,7 +57,7 @@ def learning(
         for name in _FILES:
             check_output(out / name, overwrite=overwrite)
     options = SkillOptions(environment=environment, launcher=launcher, preset=preset, traces=False)
-    course = Course(trials, balls, judge, demonstrations, MARKS if out is not None else ())
+    course = Course(trials, contexts, judge, demonstrations, MARKS if out is not None else ())
     runs = learn_many(skill, options, [(course, seed) for seed in range(first_seed, first_seed + seeds)], jobs, on)
     planner = _planner(skill, options, course, jobs) if oracle else {}
     result = _result(skill, options, course, runs, planner)

@@ -29,7 +29,7 @@ def rivals(
     demonstrations: Annotated[int, typer.Option(min=0, max=10_000, help="Demonstrations before the first trial.")] = 5,
     launcher: Annotated[str | None, typer.Option(help="Where contexts come from, e.g. wide.")] = None,
     environment: Annotated[str, typer.Option(help="Which simulator, e.g. contact.")] = "analytic",
-    skill: Annotated[str, typer.Option(help="A skill, or package.module:factory.")] = "table-tennis",
+    skill: Annotated[str, typer.Option(help="A skill, or your own as file.py:factory.")] = "table-tennis",
     jobs: Annotated[int, typer.Option(min=1, max=256, help="Processes of this machine.")] = 2,
     on: Annotated[str, typer.Option("--on", help="Where runs are made: here or ray, a cluster.")] = "here",
     out: Annotated[Path | None, typer.Option(file_okay=False, help="Keep and go on with rivals.csv here.")] = None,

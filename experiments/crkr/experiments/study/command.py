@@ -29,7 +29,7 @@ Criterion = Annotated[str | None, typer.Option(help="Of success, e.g. paper; the
 Launcher = Annotated[str | None, typer.Option(help="Where contexts come from, e.g. wide.")]
 Environment = Annotated[str, typer.Option(help="Which simulator, e.g. contact.")]
 Preset = Annotated[str, typer.Option(help="Which settings, e.g. tuned.")]
-SkillName = Annotated[str, typer.Option("--skill", help="A skill, or package.module:factory.")]
+SkillName = Annotated[str, typer.Option("--skill", help="A skill, or your own as file.py:factory.")]
 Jobs = Annotated[int, typer.Option(min=1, max=256, help="Processes of this machine.")]
 On = Annotated[str, typer.Option("--on", help="Where runs are made: here or ray, a cluster.")]
 Out = Annotated[Path | None, typer.Option(file_okay=False, help="Keep rows in a CSV file here, and go on.")]

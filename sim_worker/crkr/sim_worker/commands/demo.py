@@ -35,9 +35,7 @@ def demo(
     port: Annotated[
         int, typer.Option(min=0, max=65535, help="Loopback port of the server; 0 takes any free one.")
     ] = DEFAULT_PORT,
-    skill: Annotated[
-        str, typer.Option(help="Skill to learn; your own as package.module:factory or file.py:factory.")
-    ] = "table-tennis",
+    skill: Annotated[str, typer.Option(help="Skill to learn, or your own as file.py:factory.")] = "table-tennis",
     stay: Annotated[bool, typer.Option("--stay", help="Keep server and viewer until Enter or Ctrl-C.")] = False,
     json: Json = False,
 ) -> None:

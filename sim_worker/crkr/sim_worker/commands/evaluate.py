@@ -36,11 +36,11 @@ def evaluate(
     task: TaskName,
     skill: Annotated[
         str | None,
-        typer.Option(help="Skill that executes the goals; the one that the task was made for unless given."),
+        typer.Option(help="Skill that executes the goals, as file.py:factory; the task's own unless given."),
     ] = None,
     contexts: Annotated[int, typer.Option(min=1, max=1_000_000, help="Number of contexts.")] = 1000,
     balls: OldContexts = None,
-    seed: Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Of the contexts.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Seed of the contexts.")] = 0,
     environment: Annotated[str | None, typer.Option(help="Simulator, e.g. contact.")] = None,
     launcher: Annotated[str | None, typer.Option(help="Where contexts come from, e.g. nominal.")] = None,
     record: Annotated[bool, typer.Option("--record", help="Store the trials as evaluations.")] = False,

@@ -19,7 +19,9 @@ def oracle(
     balls: OldContexts = None,
     seed: Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Of the contexts, as for crkr evaluate.")] = 0,
     environment: Annotated[str | None, typer.Option(help="Simulator, e.g. contact.")] = None,
-    skill: Annotated[str, typer.Option(help="Skill with a planner, or package.module:factory.")] = "table-tennis",
+    skill: Annotated[
+        str, typer.Option(help="A skill with a planner, or your own as file.py:factory.")
+    ] = "table-tennis",
     jobs: Annotated[int, typer.Option(min=1, max=256, help="Number of processes.")] = 2,
     json: Json = False,
 ) -> None:

@@ -25,7 +25,7 @@ def policy(
     ] = None,
     skill: Annotated[
         str | None,
-        typer.Option(help="Skill that draws its goals, or package.module:factory; the task's own unless given."),
+        typer.Option(help="Skill that draws its goals, as file.py:factory; the task's own unless given."),
     ] = None,
     out: Annotated[Path, typer.Option(dir_okay=False, help="A .png, .svg or .pdf.")] = Path("policy.png"),
     state: Annotated[str | None, typer.Option(help="The other coordinates, in quotes; mid-range unless given.")] = None,

@@ -33,7 +33,7 @@ def render(
     trial: Annotated[str | None, typer.Option(metavar="UUID", help="Draw this stored trial of --task.")] = None,
     skill: Annotated[
         str | None,
-        typer.Option(help="Skill that executes, or package.module:factory; --task's skill, else table-tennis."),
+        typer.Option(help="Skill that executes, as file.py:factory; --task's own, else table-tennis."),
     ] = None,
     sequence: Annotated[bool, typer.Option("--sequence", help="Show the moments of a .png side by side.")] = False,
     slow: Annotated[

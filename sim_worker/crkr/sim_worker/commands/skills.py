@@ -44,8 +44,13 @@ def new(
 
 
 def check_skill(
-    skill: Annotated[str, typer.Argument(help="An installed skill, or your own as my_robot:make.", show_default=False)],
-    seed: Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Of the situations and goals.")] = 0,
+    skill: Annotated[
+        str,
+        typer.Argument(
+            help="An installed skill, file.py:factory, package.module:factory or gymnasium:ENV-ID.", show_default=False
+        ),
+    ],
+    seed: Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Seed of the situations and goals.")] = 0,
     environment: Annotated[str | None, typer.Option(help="Simulator, e.g. contact.")] = None,
     launcher: Annotated[str | None, typer.Option(help="Where contexts come from, e.g. nominal.")] = None,
     timeout: Annotated[float, typer.Option(min=0.1, metavar="SECONDS", help="How long a trial may take.")] = 60.0,
@@ -55,7 +60,7 @@ def check_skill(
 
     Status 1 if the skill does not keep its contract; warnings do not count.
 
-    Example: crkr check-skill my_robot:make
+    Example: crkr check-skill my_robot.py:make
     """
     from crkr.sim_worker.skill import SkillOptions
     from crkr.sim_worker.skill_check import Remark, check

@@ -14,7 +14,7 @@ from crkr.client.cli.options import Connect, Json, LogLevel, Timeout, ZenohConfi
 __all__ = ["workers"]
 
 Skill = Annotated[
-    str, typer.Argument(help="An installed skill, or your own as package.module:factory or path/to/file.py:factory.")
+    str, typer.Argument(help="An installed skill, file.py:factory, package.module:factory or gymnasium:ENV-ID.")
 ]
 Workers = Annotated[int, typer.Option("-n", "--workers", min=1, max=4096, help="Training processes.")]
 TaskName = Annotated[str | None, typer.Option("--task", help="Name of the task; the skill's own unless given.")]

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import enum
 import importlib.util
+import io
 import types
 from collections.abc import Callable, Mapping
+from contextlib import redirect_stderr
 from dataclasses import dataclass
 from typing import Any, Final, final
 
@@ -109,7 +111,8 @@ def _made(
 
 def _register_robotics() -> None:
     """Registers gymnasium-robotics' environments."""
-    import gymnasium_robotics
+    with redirect_stderr(io.StringIO()):  # whatever is asked for, it tells of versions of other environments
+        import gymnasium_robotics
     import mujoco
     from gymnasium_robotics.utils import mujoco_utils
 

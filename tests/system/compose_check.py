@@ -2,7 +2,8 @@
 
 Not collected by pytest: it needs a container engine. `make compose-test` runs it. It builds the images, starts all
 under a project name of its own (so that nobody's data is touched), reads the task's log over plain Zenoh through the
-published port, restarts the server to see that its volume keeps the log, and removes what it started.
+published port, restarts the server to see that its volume keeps the log, and removes what it started. Then two servers
+on one PostgreSQL take turns: one is killed, then the other stopped, and the database restarted.
 """
 
 import argparse
@@ -28,6 +29,9 @@ import zenoh
 REPOSITORY = Path(__file__).parents[2]
 PROJECT = f"crkr-test-{os.getpid()}"
 TASK = "crkr/@v1/task/table-tennis"
+STANDBY = ("--profile", "standby")
+AXIS = {"name": "x", "low": -1.0, "high": 1.0}
+REACH = {"name": "reach", "state": [AXIS], "goal": [AXIS]}
 WORKERS = 2
 TRIALS = 900  # that the workers do together before they leave; the first of them explore boldly and mostly miss
 EACH = 20  # successful trials that every one of them must have contributed
@@ -71,12 +75,15 @@ class Compose:
 
     def __init__(self, command: list[str]) -> None:
         self.port, self.web_port = free_port(), free_port()
+        self.members = {"first": free_port(), "second": free_port()}
         self._command = [*command, "-p", PROJECT]
         self._environment = {
             **os.environ,
             "CRKR_PORT": str(self.port),
             "CRKR_WEB_PORT": str(self.web_port),
             "CRKR_STREAM_PORT": str(free_port()),
+            "CRKR_FIRST_PORT": str(self.members["first"]),
+            "CRKR_SECOND_PORT": str(self.members["second"]),
             "CRKR_TRIALS": str(TRIALS),
             "NO_COLOR": "1",
         }
@@ -122,11 +129,11 @@ def configuration(port: int) -> zenoh.Config:
     return config
 
 
-def ask(port: int, verb: str, request: dict[str, Any]) -> dict[str, Any] | None:
-    """One query to the task, in plain Zenoh and msgpack; None where nobody answers or the answer is an error."""
+def ask(port: int, verb: str, request: dict[str, Any], prefix: str = TASK) -> dict[str, Any] | None:
+    """One query in plain Zenoh and msgpack; None where nobody answers or the answer is an error."""
     try:
         with zenoh.open(configuration(port)) as session:
-            for reply in session.get(f"{TASK}/rpc/{verb}", payload=msgpack.packb(request), timeout=5.0):
+            for reply in session.get(f"{prefix}/rpc/{verb}", payload=msgpack.packb(request), timeout=5.0):
                 if reply.ok is not None:
                     answer: dict[str, Any] = msgpack.unpackb(reply.ok.payload.to_bytes())
                     return answer
@@ -205,17 +212,64 @@ def compare_restart(compose: Compose) -> None:
     say(f"the server restarted with the same {after['eligible']} eligible samples, {after['active']} of them active")
 
 
+def check_standby(compose: Compose) -> None:
+    """Each of two servers takes over from the other, and keeps all that it acknowledged."""
+    compose.must(*STANDBY, "build", "first", timeout_s=BUILT_WITHIN_S)
+    compose.must(*STANDBY, "up", "-d", "database", "first", "second")
+    owner = until("a server that owns the log", READY_WITHIN_S, lambda: serving(compose, tuple(compose.members)))
+    until("the task", READY_WITHIN_S, lambda: ask(compose.members[owner], "create_task", REACH, "crkr/@v1"))
+    stored = 1
+    for number, how in enumerate(("kill", "stop")):
+        other = "second" if owner == "first" else "first"
+        until(f"{other} to stand by", READY_WITHIN_S, lambda other=other: stands_by(compose, other))  # type: ignore[misc]  # the default binds the loop's value
+        stored = report(compose, owner, 100 * number, stored)
+        compose.must(*STANDBY, how, owner)
+        began = time.monotonic()
+        until(f"{other} in place of {owner}", READY_WITHIN_S, lambda other=other: serving(compose, (other,)))  # type: ignore[misc]
+        say(f"{how} {owner}: {other} answers {time.monotonic() - began:.1f} s after that was done")
+        compose.must(*STANDBY, "up", "-d", owner)
+        owner = other
+        stored = report(compose, owner, 100 * number + 50, stored)
+    compose.must(*STANDBY, "restart", "database")
+    stored = report(compose, owner, 200, stored)
+    say(f"the database restarted; {owner} holds all {stored} entries")
+
+
+def serving(compose: Compose, names: tuple[str, ...]) -> str | None:
+    """Which of these servers answers; None if none does."""
+    return next((name for name in names if ask(compose.members[name], "info", {}, "crkr/@v1") is not None), None)
+
+
+def stands_by(compose: Compose, name: str) -> bool | None:
+    done = compose.run(*STANDBY, "logs", name)
+    said = done.stdout + done.stderr
+    return True if said.rfind("standing by") > said.rfind("listening on") else None
+
+
+def report(compose: Compose, name: str, first: int, stored: int) -> int:
+    """Store ten trials, repeated under their ids until that is acknowledged; returns the log's new last position."""
+    trials = [
+        {"id": number.to_bytes(16, "big"), "state": [0.1], "goal": [0.2], "cost": 0.5, "success": True, "kind": "trial"}
+        for number in range(first, first + 10)
+    ]
+    request, reach = {"trials": trials, "wait": True}, TASK.replace("table-tennis", "reach")
+    receipt = until("reports", READY_WITHIN_S, lambda: ask(compose.members[name], "report", request, reach))
+    if receipt["seqs"] != list(range(stored + 1, stored + 11)):
+        raise Failed(f"{name} stored ten trials at {receipt['seqs']}, and the log ended at {stored}")
+    return stored + 10
+
+
 @contextmanager
 def removed_at_the_end(compose: Compose) -> Iterator[None]:
     try:
         yield
     except Failed:
-        for service in ("server", "worker", "watch"):
-            say(f"--- {service}\n" + compose.run("logs", "--tail", "40", service).stdout)
+        for service in ("server", "worker", "watch", "database", *compose.members):
+            say(f"--- {service}\n" + compose.run(*STANDBY, "logs", "--tail", "40", service).stdout)
         raise
     finally:
-        compose.run("down", "--remove-orphans")  # podman-compose forgets scaled containers without it,
-        compose.must("down", "-v", "--remove-orphans")  # and frees the volume only when all of them are gone
+        compose.run(*STANDBY, "down", "--remove-orphans")  # podman-compose forgets scaled containers without it,
+        compose.must(*STANDBY, "down", "-v", "--remove-orphans")  # and frees the volume only when all of them are gone
 
 
 def main() -> int:
@@ -227,6 +281,7 @@ def main() -> int:
         compose = Compose(command or engine())
         with removed_at_the_end(compose):
             check(compose)
+            check_standby(compose)
     except (Failed, subprocess.TimeoutExpired) as failure:
         say(f"compose-test failed: {failure}")
         return 1

@@ -114,7 +114,8 @@ class Follower:
             self._tell(f"standing by: the server at {serving[0].address} serves {printable_location(self._url)}")
         if self._reads is None:
             self._reads = read_log(self._url)
-            self._tasks = {task.name: task for task in restore_all(self._reads)}
+            with self._lease.beating():
+                self._tasks = {task.name: task for task in restore_all(self._reads)}
         known = max(self._followed, self._known)
         if roster.positions < known:
             raise ShuttingDown(
@@ -122,14 +123,16 @@ class Follower:
                 f"{known} before; fail over to a copy that has them, or restart all servers to go on with what is there"
             )
         if roster.positions != self._followed:
-            catch_up(self._reads, self._tasks)
+            with self._lease.beating():
+                catch_up(self._reads, self._tasks)
             self._followed = roster.positions
         if serving or not (roster.serving or self._lease.join(roster)):  # it joined before the database went away
             return None
         began = time.monotonic()
         free = [row for row in self._lease.tasks() if not row.name.startswith(DELETED)]
         log = PostgresLog(self._url, self._lease, self._lease.take(free))
-        catch_up(log.reads, self._tasks)  # what the owner before stored last
+        with self._lease.beating():
+            catch_up(log.reads, self._tasks)  # what the owner before stored last
         logger.info("took %d tasks in %.3f s", len(free), time.monotonic() - began)
         return log
 

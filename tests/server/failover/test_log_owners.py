@@ -119,6 +119,19 @@ def test_an_owner_that_lives_is_not_replaced_and_one_that_leaves_is_at_once(
     lease.give_up()
 
 
+def test_a_server_that_restores_for_long_is_not_taken_for_dead(url: str, processes: Any) -> None:
+    busy, other = Lease(url), Lease(url)
+
+    def beat() -> int:
+        return next(member.beat for member in other.look().members if member.id == busy.me)
+
+    before = beat()
+    with busy.beating():
+        processes.wait_until(lambda: beat() > before + 1)
+    busy.give_up()
+    other.give_up()
+
+
 def test_a_server_that_dies_while_it_takes_over_is_replaced_in_turn(
     own: Callable[..., Owner], url: str, run: Callable[[Any], Any]
 ) -> None:

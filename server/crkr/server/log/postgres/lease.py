@@ -14,8 +14,8 @@ import logging
 import socket
 import threading
 import time
-from collections.abc import Callable, Iterable
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Final, final
@@ -219,6 +219,24 @@ class Lease:
     def give(self, key: int, epoch: int) -> None:
         """Let another server have a task."""
         self._run("hand a task over", _GIVE, key, epoch)
+
+    @contextmanager
+    def beating(self) -> Iterator[None]:
+        """Give signs of life on a thread of its own until the end of the block, which may take long."""
+        done = threading.Event()
+
+        def beat() -> None:
+            while not done.wait(_BEAT_S):
+                with suppress(CrkrError):  # the next look tells of it
+                    self.look()
+
+        thread = threading.Thread(target=beat, name="lease", daemon=True)
+        thread.start()
+        try:
+            yield
+        finally:
+            done.set()
+            thread.join()
 
     def keep(self, lost: Callable[[str], None], seen: Callable[[], None] = lambda: None) -> None:
         """Look on a thread of its own, tell of each look, and tell once why this server may not serve any more."""

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Final, final
 
 from crkr.protocol import CrkrError, ShuttingDown
+from crkr.server.learning.acceleration import Acceleration
 from crkr.server.learning.restore import catch_up, restore_all
 from crkr.server.learning.tasks import ServedTask
 from crkr.server.log import DELETED
@@ -66,6 +67,7 @@ class Follower:
         self._reads: LogReader | None = None
         self._followed = -1  # positions of the log that the tasks include
         self._known = known
+        self._acceleration = Acceleration()
         self._knock_at = 0.0  # [s, monotonic]
         self._told: str | None = None
 
@@ -91,6 +93,7 @@ class Follower:
                 pause = _AWAY_S
             else:
                 if log is not None:
+                    self._acceleration.stop()
                     if self._reads is not None:
                         self._reads.close()
                     return log, list(self._tasks.values())
@@ -126,6 +129,8 @@ class Follower:
             with self._lease.beating():
                 catch_up(self._reads, self._tasks)
             self._followed = roster.positions
+            for task in self._tasks.values():
+                self._acceleration.step(task)
         if serving or not (roster.serving or self._lease.join(roster)):  # it joined before the database went away
             return None
         began = time.monotonic()
@@ -144,6 +149,7 @@ class Follower:
         return serving <= reachable_servers(self._peers, self._zenoh_config)
 
     def _end(self) -> None:
+        self._acceleration.stop()
         if self._lease is not None:
             self._lease.give_up()
         if self._reads is not None:

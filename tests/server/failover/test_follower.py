@@ -3,6 +3,7 @@
 import itertools
 import threading
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from dataclasses import replace
 from uuid import UUID
 
@@ -54,6 +55,22 @@ def test_what_a_server_that_stands_by_follows_is_what_a_restart_finds(log: Postg
         assert sorted(tasks) == ["grasp"]
     finally:
         reader.close()
+
+
+def test_tasks_that_another_server_creates_meanwhile_are_no_damage(log: PostgresLog, url: str) -> None:
+    names = [f"reach {number}" for number in range(200)]
+
+    def create() -> None:
+        for name in names:
+            log.create(replace(SPEC, name=name))
+
+    with closing(read_log(url)) as reader:
+        creating = threading.Thread(target=create)
+        creating.start()
+        while creating.is_alive():
+            assert set(reader.positions().values()) <= {1}
+        creating.join()
+        assert list(reader.positions()) == names
 
 
 def test_what_is_restored_while_another_server_writes_lacks_no_entry(log: PostgresLog, url: str) -> None:

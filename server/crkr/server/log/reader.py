@@ -114,8 +114,7 @@ class LogReader:
             return {}
         with self._database.errors(f"find the end of the task log {self.where}"):
             found = self._database.rows(f"{_POSITIONS} ORDER BY id")
-            listed = {key for key, *_ in found}
-            if {key for (key,) in self._database.rows("SELECT DISTINCT task FROM event")} - listed:
+            if self._database.rows("SELECT DISTINCT task FROM event EXCEPT SELECT id FROM task"):
                 raise StorageError(f"{self.where} holds entries of tasks that it does not list; restore a backup")
             return {str(name): max(int(trial), int(event)) for _, name, trial, event in found}
 

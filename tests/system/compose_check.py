@@ -20,6 +20,7 @@ import urllib.request
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -221,11 +222,11 @@ def check_standby(compose: Compose) -> None:
     stored = 1
     for number, how in enumerate(("kill", "stop")):
         other = "second" if owner == "first" else "first"
-        until(f"{other} to stand by", READY_WITHIN_S, lambda other=other: stands_by(compose, other))  # type: ignore[misc]  # the default binds the loop's value
+        until(f"{other} to stand by", READY_WITHIN_S, partial(stands_by, compose, other))
         stored = report(compose, owner, 100 * number, stored)
         compose.must(*STANDBY, how, owner)
         began = time.monotonic()
-        until(f"{other} in place of {owner}", READY_WITHIN_S, lambda other=other: serving(compose, (other,)))  # type: ignore[misc]
+        until(f"{other} in place of {owner}", READY_WITHIN_S, partial(serving, compose, (other,)))
         say(f"{how} {owner}: {other} answers {time.monotonic() - began:.1f} s after that was done")
         compose.must(*STANDBY, "up", "-d", owner)
         owner = other

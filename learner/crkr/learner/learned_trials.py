@@ -55,13 +55,14 @@ class LearnedTrials:
         known = [trial.id for trial in trials if self.store.find(trial.id) is not None]
         if known or len({trial.id for trial in trials}) != len(trials):
             raise Conflict(f"trials to apply must be new; known already: {known[:3] or 'an id comes twice'}")
-        rows = np.array([self.store.append(seq, trial) for seq, trial in zip(seqs, trials, strict=True)])
-        eligible = self._count(rows)
+        rows = [self.store.append(seq, trial) for seq, trial in zip(seqs, trials, strict=True)]
+        eligible = [row for row, one in zip(rows, trials, strict=True) if one.eligible(self._learn_from)]
+        self._count(len(eligible), sum(trial.kind in ("trial", "failed") for trial in trials))
         if not self.deferred:
-            self.selection.extend(eligible)
+            self.selection.extend(np.array(eligible, dtype=np.int64))
             if self.outcomes is not None:
-                self.outcomes.extend(rows)
-        return self._demonstrated(rows)
+                self.outcomes.extend(np.array(rows))
+        return any(trial.kind == "demonstration" for trial in trials)
 
     def extend(self, columns: TrialColumns) -> None:
         """Stores many trials while learning is deferred.
@@ -73,7 +74,8 @@ class LearnedTrials:
         known = self.store.extend(columns)
         if known is not None:
             raise Conflict(f"trials to apply must be new; log position {int(self.store.seqs[known])} repeats an id")
-        self._count(np.arange(first, len(self.store)))
+        rows = np.arange(first, len(self.store))
+        self._count(len(self._eligible_of(rows)), self.store.count_tried(rows))
 
     def recost(self, rows: Sequence[int], costs: Sequence[float]) -> list[int]:
         """Changes the costs of rows; gives those whose cost differs from before."""
@@ -155,13 +157,10 @@ class LearnedTrials:
             radius=radius,
         )
 
-    def _count(self, rows: Indices) -> Indices:
-        """Counts new rows; gives the eligible ones."""
-        eligible = self._eligible_of(rows)
-        self.eligible += len(eligible)
-        self.since_fit += len(eligible)
-        self.tried += self.store.count_tried(rows)
-        return eligible
+    def _count(self, eligible: int, tried: int) -> None:
+        self.eligible += eligible
+        self.since_fit += eligible
+        self.tried += tried
 
     def _demonstrated(self, rows: Indices) -> bool:
         return bool(self.store.demonstrated(rows).any())

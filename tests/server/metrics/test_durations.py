@@ -9,7 +9,7 @@ from crkr.server.metrics.durations import BOUNDS_S, Durations, Latencies
 
 
 def made() -> Durations:
-    return Durations.named("work_seconds", "Work.")
+    return Durations("work_seconds", "Work.")
 
 
 def counts(durations: Durations) -> Sequence[float]:

@@ -98,7 +98,7 @@ class Learning:
         relearn: Callable[[ServedTask, Event], Learner] | None = None,
     ) -> None:
         text = "Steps of learning, each with a new model."
-        self.steps: Final = Durations.named("crkr_learning_step_duration_seconds", text)
+        self.steps: Final = Durations("crkr_learning_step_duration_seconds", text)
         self._notice, self._due, self._drifted, self._relearn = notice, due, drifted, relearn
         self._lines: dict[ServedTask, _Line] = {}  # of the tasks that have waiting steps, are held, or were long
         self._lock = threading.Lock()

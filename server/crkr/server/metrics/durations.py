@@ -1,7 +1,11 @@
-"""How long work takes and how requests end: counted for Prometheus, and the latest times for `status`."""
+"""How long work takes and how requests end: kept for Prometheus, and the latest times for `status`.
+
+An answer costs one append here. What a metric needs besides is worked out when it is read, or once in a thousand times.
+"""
 
 from __future__ import annotations
 
+import threading
 import time
 from collections import deque
 from collections.abc import Iterator
@@ -9,7 +13,9 @@ from contextlib import contextmanager
 from typing import Any, Final, final
 
 import numpy as np
-from prometheus_client import Counter, Histogram, Metric
+from numpy.typing import NDArray
+from prometheus_client import Counter, Metric
+from prometheus_client.core import CounterMetricFamily, HistogramMetricFamily
 
 from crkr.protocol import ADMIN_VERBS, SERVER_VERBS, TASK_VERBS, Array
 
@@ -24,6 +30,7 @@ BOUNDS_S: Final = (
 OTHER_VERB: Final = "other"  # stands for unknown verbs, so that clients cannot make up labels
 _VERBS: Final = frozenset({*SERVER_VERBS, *TASK_VERBS, *ADMIN_VERBS})
 _WINDOW: Final = 1024  # that `recent` looks back
+_LABELS: Final = [*map(str, BOUNDS_S), "+Inf"]
 
 
 @final
@@ -31,24 +38,29 @@ class Durations:
     """Times of one kind of work since the start; any thread may record.
 
     Args:
-        histogram: Counts them all; of one label where there are several.
+        name: The metric's, where it has one of its own.
+        text: What the metric says.
     """
 
-    __slots__ = ("_histogram", "_recent")
+    __slots__ = ("_counted", "_counting", "_name", "_text", "_times", "_total_s")
 
-    def __init__(self, histogram: Histogram) -> None:
-        self._histogram = histogram
-        self._recent: deque[float] = deque(maxlen=_WINDOW)
-
-    @classmethod
-    def named(cls, name: str, text: str) -> Durations:
-        """Times with a metric of their own."""
-        return cls(Histogram(name, text, buckets=BOUNDS_S, registry=None))
+    def __init__(self, name: str = "", text: str = "") -> None:
+        self._name, self._text = name, text
+        self._times: deque[float] = deque()  # the latest ones; those before are in the counts only
+        self._counted: NDArray[np.int64] = np.zeros(len(_LABELS), dtype=np.int64)
+        self._total_s = 0.0
+        self._counting = threading.Lock()
 
     def record(self, seconds: float) -> None:
         """Record one time."""
-        self._recent.append(seconds)
-        self._histogram.observe(seconds)
+        self._times.append(seconds)
+        if len(self._times) >= 2 * _WINDOW and self._counting.acquire(blocking=False):
+            try:
+                oldest = np.array([self._times.popleft() for _ in range(_WINDOW)])
+                self._counted += _tally(oldest)
+                self._total_s += float(oldest.sum())
+            finally:
+                self._counting.release()
 
     @contextmanager
     def timing(self) -> Iterator[None]:
@@ -59,11 +71,26 @@ class Durations:
 
     def recent(self) -> Array:
         """The latest times [s], at most 1024."""
-        return np.array(self._recent.copy())
+        return np.array(self._times.copy())[-_WINDOW:]
+
+    def counts(self) -> tuple[list[int], float]:
+        """How many took at most each of `BOUNDS_S`, then how many there are in all; and their sum [s]."""
+        with self._counting:  # so that no time is between the two
+            times = np.array(self._times.copy())
+            found = np.cumsum(self._counted + _tally(times))
+            return found.tolist(), self._total_s + float(times.sum())
+
+    def add_to(self, metric: HistogramMetricFamily, labels: list[str]) -> int:
+        """Add all times to a metric; returns how many."""
+        found, total_s = self.counts()
+        metric.add_metric(labels, list(zip(_LABELS, found, strict=True)), total_s)
+        return found[-1]
 
     def collect(self) -> list[Metric]:
         """The metric of all times."""
-        return list(self._histogram.collect())
+        metric = HistogramMetricFamily(self._name, self._text, labels=[])
+        self.add_to(metric, [])
+        return [metric]
 
 
 @final
@@ -71,38 +98,43 @@ class Latencies:
     """Times of answers and counts of requests, by verb; any thread may record."""
 
     def __init__(self) -> None:
-        text = "From taking a request in to its answer, errors aside."
-        self._took = Histogram("crkr_request_duration_seconds", text, ["verb"], buckets=BOUNDS_S, registry=None)
-        self._ended = Counter("crkr_requests", "Requests by outcome.", ["verb", "code"], registry=None)
-        self._times: dict[str, tuple[Durations, Counter]] = {}
+        self._refused = Counter("crkr_requests", "Requests by outcome.", ["verb", "code"], registry=None)
+        self._times: dict[str, Durations] = {}
 
     def record(self, verb: str, seconds: float) -> None:
         """Record one answer."""
-        found = self._times.get(verb)
-        if found is None:
-            made = Durations(self._took.labels(verb)), self._ended.labels(verb, "OK")
-            found = self._times.setdefault(verb, made)
-        times, answered = found
+        times = self._times.get(verb)
+        if times is None:
+            times = self._times.setdefault(verb, Durations())
         times.record(seconds)
-        answered.inc()
 
     def refused(self, verb: str, code: str) -> None:
         """Count one error reply."""
-        self._ended.labels(verb if verb in _VERBS else OTHER_VERB, code).inc()
+        self._refused.labels(verb if verb in _VERBS else OTHER_VERB, code).inc()
 
     def summary(self) -> dict[str, Any]:
         """Verb -> p50 and p99 [us] of the last 1024 answers, and the count since the start."""
-        [ended] = self._ended.collect()
-        totals = [one for one in ended.samples if one.name == "crkr_requests_total" and one.labels["code"] == "OK"]
-        counts = {one.labels["verb"]: int(one.value) for one in totals}
         found: dict[str, Any] = {}
-        for verb, (times, _) in list(self._times.items()):
+        for verb, times in list(self._times.items()):
             recent = times.recent() * 1e6
             if len(recent):
                 p50, p99 = np.percentile(recent, [50, 99])
-                found[verb] = {"p50": round(float(p50), 1), "p99": round(float(p99), 1), "count": counts[verb]}
+                count = times.counts()[0][-1]
+                found[verb] = {"p50": round(float(p50), 1), "p99": round(float(p99), 1), "count": count}
         return found
 
     def collect(self) -> list[Metric]:
         """The metrics of all requests."""
-        return [*self._ended.collect(), *self._took.collect()]
+        text = "From taking a request in to its answer, errors aside."
+        took = HistogramMetricFamily("crkr_request_duration_seconds", text, labels=["verb"])
+        ended = CounterMetricFamily("crkr_requests", "Requests by outcome.", labels=["verb", "code"])
+        for verb, times in list(self._times.items()):
+            ended.add_metric([verb, "OK"], times.add_to(took, [verb]))
+        [refused] = self._refused.collect()
+        ended.samples += [one for one in refused.samples if one.name == "crkr_requests_total"]
+        return [ended, took]
+
+
+def _tally(times: Array) -> NDArray[np.int64]:
+    """How many times fall into each bucket."""
+    return np.bincount(np.searchsorted(BOUNDS_S, times), minlength=len(_LABELS))

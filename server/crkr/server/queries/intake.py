@@ -139,6 +139,8 @@ class Intake:
             for request in batch:
                 request.fail_unexpectedly(error)
         on_duty = self._thread.end(turn)
+        if not left:
+            return on_duty
         try:
             if on_duty:
                 source.waiting.put_back([request for request in left if not request.patient])

@@ -154,7 +154,7 @@ class Request:
     def read_metadata(self) -> None:
         """Read client and deadline from the attachment, for requests that wait in a lane."""
         attachment = self._query.attachment
-        self.size = self.held_bytes()
+        self.size += _QUERY_BYTES + len(str(self._query.encoding))
         if attachment is None or len(attachment) > LONGEST_METADATA:
             return
         told = CallMetadata.from_bytes(attachment.to_bytes())

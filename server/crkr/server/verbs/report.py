@@ -57,7 +57,7 @@ class Writer:
     """The work of the write lane: reports in groups, other requests one by one, in order of arrival."""
 
     def __init__(self, log: TaskLog, tasks: Tasks, workers: Workers, learning: Learning) -> None:
-        self.commits: Final = Durations.named("crkr_commit_duration_seconds", "Durable commits to the task log.")
+        self.commits: Final = Durations("crkr_commit_duration_seconds", "Durable commits to the task log.")
         self._log, self._tasks, self._workers, self._learning = log, tasks, workers, learning
         self._held_bytes, self._holding = 0, threading.Lock()
         self._waits = Waits()

@@ -34,7 +34,7 @@ def stored(spec: TaskSpec) -> Make:
     """Makes trial number `seq` of the log."""
 
     def make(seq: int, kind: str = "trial", **fields: Any) -> StoredTrial:
-        values = {"cost": 0.5, "success": True, "worker": "crane-1", "info": {}} | fields
+        values: dict[str, Any] = {"cost": 0.5, "success": True, "worker": "crane-1", "info": {}} | fields
         trial = Trial.create(spec, id=UUID(int=seq), state=[5.0], goal=[0.25], kind=kind, **values)
         return StoredTrial(trial, seq, 1000.0 + seq)
 

@@ -63,7 +63,7 @@ class Trial:
         cls,
         spec: TaskSpec,
         *,
-        id: UUID,  # noqa: A002 - the protocol's word
+        id: object,  # noqa: A002 - the protocol's word
         state: object,
         goal: object,
         cost: object,
@@ -74,6 +74,7 @@ class Trial:
         model_version: object = None,
         info: object = None,
         learn: object = None,
+        read_info: Callable[[object], dict[str, Any]] = check_info,
     ) -> Trial:
         """Checks a trial against its task.
 
@@ -84,38 +85,7 @@ class Trial:
             Invalid: Wrong shapes, values that are not finite, a goal outside the bounds, a cost outside [0, 1], or
                 info that would not read back equal.
         """
-        return cls._checked(
-            spec,
-            id=id,
-            state=state,
-            goal=goal,
-            cost=cost,
-            success=success,
-            kind=kind,
-            outcome=outcome,
-            worker=worker,
-            model_version=model_version,
-            info=check_info(info),
-            learn=learn,
-        )
-
-    @classmethod
-    def _checked(
-        cls,
-        spec: TaskSpec,
-        *,
-        id: object,  # noqa: A002 - the protocol's word
-        state: object,
-        goal: object,
-        cost: object,
-        success: object,
-        kind: object,
-        outcome: object,
-        worker: object,
-        model_version: object,
-        info: dict[str, Any],
-        learn: object,
-    ) -> Trial:
+        plain = read_info(info)
         checked_kind = choice(kind, "kind", KINDS)
         successful = flag(success, "success")
         if checked_kind == "failed" and successful:
@@ -138,7 +108,7 @@ class Trial:
             outcome=_outcome(outcome, spec),
             worker=None if worker is None else text(worker, "worker", longest=128),
             model_version=None if model_version is None else integer(model_version, "model_version"),
-            info=info,
+            info=plain,
             learn=_learn(learn, checked_kind),
         )
 
@@ -156,9 +126,9 @@ class Trial:
         if not isinstance(message, Mapping):
             raise Invalid(f"a trial is a map; got {type(message).__name__}")
         outcome = message.get("outcome")
-        return cls._checked(
+        return cls.create(
             spec,
-            id=id_from_wire(required(message, "id")),
+            id=required(message, "id"),
             state=frozen_from_wire(required(message, "state"), "state"),
             goal=frozen_from_wire(required(message, "goal"), "goal"),
             cost=message.get("cost") if spec.cost == "label" else required(message, "cost"),
@@ -167,8 +137,9 @@ class Trial:
             outcome=None if outcome is None else frozen_from_wire(outcome, "outcome"),
             worker=message.get("worker"),
             model_version=message.get("model_version"),
-            info=read_info(message.get("info")),
+            info=message.get("info"),
             learn=message.get("learn"),
+            read_info=read_info,
         )
 
     def to_wire(self) -> dict[str, Any]:
@@ -216,7 +187,7 @@ class Trial:
         if spec.cost == "label" and "success" in changes and "cost" not in changes:
             values["cost"] = None  # the label's
         rest = {name: getattr(self, name) for name in ("id", "state", "goal", "worker", "model_version")}
-        return self._checked(spec, **rest, **values, info=dict(self.info))
+        return self.create(spec, **rest, **values, read_info=lambda _: dict(self.info))
 
     def digest(self) -> bytes:
         """16 bytes that are equal exactly when the content (bitwise, provenance aside) is."""

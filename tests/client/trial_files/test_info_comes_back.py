@@ -195,7 +195,8 @@ def test_a_goal_and_what_float32_made_of_it_are_one_trial(client: Client) -> Non
 @pytest.mark.parametrize("worker", [None, "", " ", "nan", "NULL", '"', "a\nb", "a\r\n,b", "θ", "-1"])
 def test_a_worker_and_a_version_come_back_equal_from_every_file(tmp_path: Path, kind: str, worker: str | None) -> None:
     layout = Layout(TaskSpec.from_dict({"name": "toss", **SPEC}))
-    one = {"state": [0.1], "goal": [0.2], "cost": 0.3, "success": True, "worker": worker, "model_version": 2**53 + 1}
+    told = {"worker": worker, "model_version": 2**53 + 1}
+    one: dict[str, Any] = {"state": [0.1], "goal": [0.2], "cost": 0.3, "success": True, **told}
     trial = Trial.create(layout.spec, id=UUID(int=1), **one)
     [row] = trial_source(written(layout, [StoredTrial(trial, 2, 1.0)], tmp_path / f"a.{kind}"), layout).rows
     assert (row.trial.worker, row.trial.model_version) == (worker, 2**53 + 1)

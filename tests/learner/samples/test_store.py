@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 from uuid import UUID, uuid5
 
 import numpy as np
@@ -64,7 +65,7 @@ def test_index_copes_with_ids_that_share_a_slot() -> None:
 
 
 def trial(spec: TaskSpec, number: int, **fields: object) -> Trial:
-    values = {"state": [0.1, 0.2], "goal": [0.0, 0.5], "cost": 0.25, "success": True, **fields}
+    values: dict[str, Any] = {"state": [0.1, 0.2], "goal": [0.0, 0.5], "cost": 0.25, "success": True, **fields}
     return Trial.create(spec, id=uuid5(SPACE, str(number)), **values)
 
 

@@ -25,7 +25,8 @@ def run(count: int, kind: str = "trial") -> Run:
     rng = np.random.default_rng(0)
 
     def stored(seq: int) -> StoredTrial:
-        values = {"state": [rng.uniform(), 0.5], "goal": [0.5], "cost": rng.uniform(), "success": bool(seq % 3)}
+        point = {"state": [rng.uniform(), 0.5], "goal": [0.5]}
+        values: dict[str, Any] = {**point, "cost": rng.uniform(), "success": bool(seq % 3)}
         return StoredTrial(Trial.create(spec, id=UUID(int=seq), kind=kind, **values), seq, 1000.0 + seq)
 
     return Run(spec, map(stored, range(1, count + 1)))

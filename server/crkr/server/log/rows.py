@@ -148,27 +148,11 @@ def body_digest(kind: str, body: bytes) -> bytes:
 
 def check_row(row: tuple[Any, ...]) -> None:
     """Raise `StorageError` for a row of `ROW_COLUMNS` that is not what was stored."""
-    (
-        seq,
-        time,
-        identity,
-        kind,
-        success,
-        cost,
-        state,
-        goal,
-        outcome,
-        worker,
-        model_version,
-        info,
-        digest,
-        cost_now,
-        gone,
-    ) = row
+    seq, time, identity, kind, success, cost, state, goal, outcome, worker, version, info, digest, *present = row
     try:
         intact = digest[:DIGEST_BYTES] == content_digest(kind, success, cost, state, goal, outcome)
         if len(digest) != DIGEST_BYTES:
-            rest = (seq, time, identity, worker, model_version, info, cost_now, gone)
+            rest = (seq, time, identity, worker, version, info, *present)
             intact = intact and digest[DIGEST_BYTES:] == _seal(digest[:DIGEST_BYTES], rest)
     except (ValueError, TypeError, OverflowError, struct.error) as error:
         raise StorageError(f"the trial at log position {seq} is damaged: {error}; restore a backup") from error

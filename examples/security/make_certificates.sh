@@ -4,7 +4,7 @@
 #   make_certificates.sh FOLDER server NAME[,NAME...]    the names and addresses that clients connect to
 #   make_certificates.sh FOLDER client NAME...           the names that server.json5 gives rights to
 #
-# The first run makes the authority that signs them all; whoever has FOLDER/authority/ca.key can make more, so it stays
+# The first run makes the authority that signs them all; FOLDER/authority/ca.key makes more of them, so it stays
 # where it is. A name that exists is given a new key and certificate. DAYS=365: how long they are valid.
 set -eu
 umask 077

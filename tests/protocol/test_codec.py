@@ -193,7 +193,7 @@ def test_a_message_is_nested_as_deep_as_the_limit_and_no_deeper(wrap: Callable[[
 
 
 def padded(value: bytes) -> bytes:
-    """A map with this value and so many bytes beside it that it is decoded in slices."""
+    """A map with this value and enough other bytes to be decoded in slices."""
     return b"\x82\xa1x" + value + b"\xa1y\xc6" + (200_000).to_bytes(4, "big") + bytes(200_000)
 
 

@@ -10,7 +10,8 @@ import pytest
 REPOSITORY = Path(__file__).parents[2]
 WHO = re.compile(r"\bWho(?:ever)?\b(?!\?)")
 WORN = re.compile(
-    r"\b(?:as it were|takes? note (?:of|that)|every so many|has it done|none of (?:its|their) business)\b"
+    r"\b(?:as it were|takes? note (?:of|that)|every so many|has it done|none of (?:its|their) business"
+    r"|for ever|for want of)\b"
 )
 PAGES = ["*.md", "docs/*.md", "examples/**/*", "Makefile", "scripts/*", "pyproject.toml", "compose.yaml", "Dockerfile"]
 

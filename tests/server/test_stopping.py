@@ -1,4 +1,4 @@
-"""How a server ends: it says so to whoever asks meanwhile, and no signal is lost on the way."""
+"""How a server ends: it says so to clients that ask meanwhile, and no signal is lost."""
 
 import signal
 import subprocess

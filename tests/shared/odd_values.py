@@ -17,7 +17,7 @@ BYTES: Final = (b"", b"\xff", bytes(15), bytes(16), b"x" * 17, b"\x80" * 70_000)
 
 
 def nested(depth: int, value: Any = 0, *, maps: bool = False) -> Any:
-    """A value within so many lists, or maps."""
+    """A value nested in that many lists or maps."""
     for _ in range(depth):
         value = {"a": value} if maps else [value]
     return value

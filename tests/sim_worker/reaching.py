@@ -108,7 +108,7 @@ class Unmoved(Reaching):
 
 
 class Stuck(Reaching):
-    """Simulates well for a while, and then for ever."""
+    """Simulates well for a while, then never returns."""
 
     def __init__(self, options: SkillOptions) -> None:
         super().__init__(options)

@@ -226,7 +226,7 @@ class AsyncClient(AsyncClosing):
         return AsyncTask(await self._calls.run(self.blocking.create_task, spec, timeout_s=timeout_s), self._calls)
 
     def task(self, name: str) -> AsyncTask:
-        """A task by its name; whether it exists shows at the first call (`UnknownTask`)."""
+        """A task by its name; the first call raises `UnknownTask` if it does not exist."""
         return AsyncTask(self.blocking.task(name), self._calls)
 
     def __repr__(self) -> str:

@@ -68,7 +68,7 @@ class LearnedTrials:
         """Stores many trials while learning is deferred.
 
         Raises:
-            Conflict: An id that is stored already, or comes twice; the trials are of no use then.
+            Conflict: An id that is stored already, or comes twice; the trials are then unusable.
         """
         first = len(self.store)
         known = self.store.extend(columns)

@@ -92,7 +92,7 @@ class Learner:
 
     @property
     def history(self) -> TrialHistory:
-        """All trials of this moment, which other threads may read."""
+        """All trials up to now; other threads may read them."""
         return self._trials.store.history()
 
     @property
@@ -227,7 +227,7 @@ class Learner:
 
         Raises:
             Invalid: Positions that do not ascend from the version on; outside of `bulk`.
-            Conflict: An id that is stored already, or comes twice; the learner is of no use then.
+            Conflict: An id that is stored already, or comes twice; the learner is then unusable.
         """
         if not self._trials.deferred:
             raise Invalid("columns are applied in bulk only; use apply_trials")

@@ -89,12 +89,12 @@ def live_worker_key(task: str, worker_id: str) -> str:
 
 
 def left_worker_key(task: str, worker_id: str) -> str:
-    """Key of the token that a worker holds while it withdraws its own: whoever sees it knows that it left in order."""
+    """Key of the token that a worker holds while it withdraws its own, which shows that it left in order."""
     return f"{ROOT}/task/{task}/live/left/{worker_id}"
 
 
 def claim_worker_key(task: str, worker_id: str, claim: str) -> str:
-    """Key of the token of one who wants a worker's id; two who want it at once see each other by it."""
+    """Key of a process's claim on a worker's id; processes that claim it at the same time see each other's tokens."""
     return f"{ROOT}/task/{task}/live/claim/{worker_id}/{claim}"
 
 
@@ -104,7 +104,7 @@ def live_role_key(task: str, role: str, holder: str) -> str:
 
 
 def claim_role_key(task: str, role: str, claim: str) -> str:
-    """Key of the token of one who wants a role, as for a worker's id."""
+    """Key of a process's claim on a role, as for a worker's id."""
     return f"{ROOT}/task/{task}/live/claim/role/{role}/{claim}"
 
 

@@ -1,4 +1,4 @@
-"""Text from others for a terminal or a log: what would act on it is written out.
+"""Text from others, made safe for a terminal or a log: control characters are escaped.
 
 A name that another program chose may hold escape sequences that write the clipboard or clear the screen, line feeds
 that forge lines of a log, and marks that turn the direction of what follows.

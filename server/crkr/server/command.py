@@ -47,7 +47,7 @@ def server(
         ),
     ] = None,
     data: Annotated[
-        str, typer.Option(metavar="DIR|URL", help="Data directory, made where there is none, or postgresql://...")
+        str, typer.Option(metavar="DIR|URL", help="Data directory, created if missing, or postgresql://...")
     ] = "crkr-data",
     zenoh_config: Annotated[Path | None, typer.Option(help="Zenoh configuration file (JSON5).")] = None,
     peer: Annotated[
@@ -204,7 +204,7 @@ def _be_quick() -> None:
     """Tune the interpreter for short waits rather than throughput."""
     sys.setswitchinterval(_SWITCH_S)
     gc.collect()
-    gc.freeze()  # what is imported by now stays: no collection need look at it again
+    gc.freeze()  # modules imported so far stay, so collections can skip them
     gc.set_threshold(_GARBAGE, 20, 100)
 
 

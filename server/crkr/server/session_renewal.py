@@ -100,7 +100,7 @@ def is_broken(session: zenoh.Session) -> bool:
 def cut_connections(endpoints: Iterable[str]) -> None:
     """Cut the process's TCP connections at these endpoints; does nothing without /proc.
 
-    A broken session leaves its connections open as it closes, and their clients would wait for ever.
+    A broken session leaves its connections open as it closes, and their clients would wait forever.
     """
     ports = {int(found[1]) for endpoint in endpoints if (found := _PORT.search(endpoint))}
     with suppress(OSError):

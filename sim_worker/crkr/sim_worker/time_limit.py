@@ -1,4 +1,4 @@
-"""A time limit for calls of a skill, which cannot be interrupted: a thread tells of one that does not end."""
+"""A time limit for calls of a skill: they cannot be interrupted, so a thread reports one that does not end."""
 
 from __future__ import annotations
 

@@ -114,7 +114,7 @@ def test_a_damaged_trial_is_put_aside_and_the_others_arrive(
 def test_a_trial_of_a_version_before_that_no_server_can_read_is_put_aside_and_the_others_arrive(
     task: Task, shared_endpoint: str, tmp_path: Path
 ) -> None:
-    """It packed maps whose keys are not text, which it could not read again: everything behind them waited for ever."""
+    """It packed maps whose keys are not text, which it could not read again: everything behind them waited forever."""
     task.outbox(tmp_path / "box").close()
     unreadable = {"id": uuid4().bytes, "state": [0.0, 0.0], "goal": [0.0, 0.0], "cost": 0.1, "success": True}
     body = msgpack.packb({**unreadable, "kind": "trial", "info": {"torque": {0: 1.2}}})

@@ -42,7 +42,7 @@ class Member:
             self.process = subprocess.Popen([*command, *self.options], stdout=sink, stderr=sink, env=environment)
 
     def says(self, what: str, times: int = 1) -> bool:
-        """Whether it has said something so many times; fails once it has ended."""
+        """Whether it has said something that often; fails once it has ended."""
         assert self.process is not None
         text = self.log.read_text()
         if text.count(what) >= times:

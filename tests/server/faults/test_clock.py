@@ -47,7 +47,7 @@ def test_the_time_of_day_is_only_ever_told() -> None:
                 assert not re.search(r"deadline|timeout|wait\(|[<>]", line), line
 
 
-# Between a program and the C library: the time of day is another by so many seconds as a file says, at any moment.
+# Between a program and the C library: shifts the time of day by the seconds that a file holds, at any moment.
 LIBRARY = r"""
 #define _GNU_SOURCE
 #include <dlfcn.h>

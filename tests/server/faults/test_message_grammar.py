@@ -54,7 +54,7 @@ class Conversation:
         self.wrong: list[str] = []
 
     def run(self, count: int) -> None:
-        """So many messages, and a publication and a token with every hundred."""
+        """That many messages, with a publication and a token after every hundred."""
         waiting: deque[tuple[Message, Any]] = deque()
         for number in range(count):
             message = self._grammar.draw()

@@ -40,7 +40,7 @@ def clock() -> Clock:
 
 
 def waiting(waits: Waits, task: str, count: int) -> list[Done]:
-    """So many who wait; each is called for its answer."""
+    """That many waiting requests; calling one answers it."""
     return [waits.timed(task, lambda _result, _failure: None) for _ in range(count)]
 
 

@@ -1,4 +1,4 @@
-"""What Prometheus scrapes from a real server is what the server says of itself to whoever asks by Zenoh."""
+"""Prometheus scrapes from a real server the numbers that the server gives by Zenoh."""
 
 import re
 import signal

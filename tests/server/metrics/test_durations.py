@@ -1,4 +1,4 @@
-"""Durations lose none, whoever records, and are counted as numpy counts."""
+"""Durations are all recorded, from any thread, and counted as numpy counts."""
 
 import threading
 from collections.abc import Sequence

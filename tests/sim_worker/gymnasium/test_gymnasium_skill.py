@@ -43,7 +43,7 @@ def test_an_environment_of_one_decision_needs_nothing_but_its_name() -> None:
     assert [axis.name for axis in spec.state] == ["observation_1"], "one is constant, and one follows from another"
     assert [(axis.low, axis.high) for axis in spec.goal] == [(-2.0, 2.0)]
     assert spec.outcome == ()
-    assert "better say what it is" in spec.description
+    assert "better define it" in spec.description
     assert share_of_hits(skill, learn(skill, 150), 100) >= 0.7
 
 

@@ -42,7 +42,7 @@ def environment(folder: Path) -> dict[str, str]:
     return {
         **os.environ,
         "RAY_USAGE_STATS_ENABLED": "0",
-        "RAY_AUTH_MODE": "disabled",  # else a token in the home directory of whoever tests would be asked for
+        "RAY_AUTH_MODE": "disabled",  # else Ray would ask for a token in the home directory
         "RAY_ADDRESS": f"{HEAD}:6379",
         "RAY_TMPDIR": str(folder),
         "OPENBLAS_NUM_THREADS": "1",

@@ -30,7 +30,7 @@ def wire(numbers: list[float], shape: list[int]) -> dict[str, Any]:
 
 @dataclass
 class Rogue:
-    """Answers with these goals in turn, the last one for ever, and keeps what is reported."""
+    """Answers with these goals in turn, the last one forever, and keeps what is reported."""
 
     endpoint: str
     spec: dict[str, Any]

@@ -1,4 +1,4 @@
-"""Files that a command reads or writes: none is replaced without --overwrite, and a failed run changes none."""
+"""Files that a command reads or writes; only --overwrite replaces one, and a failed run changes none."""
 
 from __future__ import annotations
 

@@ -46,7 +46,7 @@ class _Group(TyperGroup):
 
 @final
 class _Command(TyperCommand):
-    """A command that tells whoever forgot the quotes of a vector so."""
+    """A command that points out missing quotes around a vector."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         vector = next((word for word in args if word in _VECTORS), None)  # parsing takes them out of the list

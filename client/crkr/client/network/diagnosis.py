@@ -85,7 +85,7 @@ def fault_in(endpoint: str) -> str | None:
     if not re.fullmatch(r"[0-9]+", port):
         return f"the port is missing or no number: {port!r}" if port else "the port is missing after the colon"
     if not 1 <= int(port) <= 65535:
-        return f"the port {port} is none: ports are 1 to 65535"
+        return f"{port} is not a port: ports are 1 to 65535"
     return None
 
 

@@ -42,7 +42,7 @@ class WarmStartReport:
 @final
 @dataclass(frozen=True, slots=True)
 class _Term:
-    """A number of a new trial: factor * column + offset; column -1 is none."""
+    """A number of a new trial: factor * column + offset; column -1 means no column."""
 
     column: int
     factor: float

@@ -51,7 +51,7 @@ def layout(*, replayed: bool = False) -> rrb.Blueprint:
 
 
 def _live() -> rrb.Tabs:
-    """Three panels for a first look; the rest is one click away."""
+    """Three panels for a first look; tabs hold the rest."""
     return rrb.Tabs(
         rrb.Horizontal(
             _scene(),

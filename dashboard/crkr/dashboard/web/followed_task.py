@@ -49,7 +49,7 @@ class PageBytes:
 
 @final
 class FollowedTask:
-    """A task's page as it is now. All that is slow happens on a thread of its own: readers get bytes."""
+    """A task's page as it is now. Slow work happens on a thread of its own, so readers get bytes at once."""
 
     def __init__(self, connect: Callable[[], Client], spec: TaskSpec) -> None:
         self._connect = connect
@@ -69,11 +69,11 @@ class FollowedTask:
 
     @property
     def asked(self) -> float:
-        """When somebody looked last, monotonic [s]."""
+        """Time of the last look, monotonic [s]."""
         return self._asked
 
     def look(self) -> PageBytes:
-        """The newest form of the page; whoever asks keeps it followed."""
+        """The newest form of the page; asking keeps the task followed."""
         self._asked = time.monotonic()
         self._awake.set()
         return self._newest

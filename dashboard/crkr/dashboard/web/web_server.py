@@ -124,7 +124,7 @@ def _hosts(listening: socket.socket) -> frozenset[str] | None:
 
 @final
 class _BoundedProtocol(H11Protocol):
-    """A connection that ends after a while, so that neither silent nor slow readers keep places for ever."""
+    """A connection that ends after a while, so that silent and slow readers do not hold connections forever."""
 
     def connection_made(self, transport: Any) -> None:
         """Begin; the end is set."""

@@ -143,7 +143,7 @@ def dashboard(
 
     Example: crkr bench dashboard --json
     """
-    require("rerun", "scipy")  # the child processes would end for want of them
+    require("rerun", "scipy")  # the child processes need them
     from crkr.experiments.bench.dashboard import measure
 
     _measure_in_folder(lambda folder: measure(folder, skill, workers), "watching, loopback, no browser", as_json)

@@ -31,7 +31,7 @@ _ROUNDS: Final = 6
 
 
 def measure(directory: Path, samples: int) -> Iterator[Measurement]:
-    """All figures; with `samples` also those of a restart on so long a log."""
+    """All figures; with `samples` also those of a restart on a log of that length."""
     with ExitStack() as stack:
         client = stack.enter_context(running_server(directory / "data"))
         task = client.create_task(workload.bench_spec())

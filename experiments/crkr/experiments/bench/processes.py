@@ -184,7 +184,7 @@ def running_server(data: Path | str) -> Iterator[Client]:
     Raises:
         Unavailable: The server ended by itself, whatever that made fail in the block.
     """
-    require("scipy")  # the server would end for want of it
+    require("scipy")  # the server needs it
     endpoint = free_endpoint()
     with command(["server", "--listen", endpoint, "--data", str(data)]) as server:
         try:

@@ -78,7 +78,7 @@ def _in_flight(bare: BareQuerier, echo: BareQuerier) -> Measurement:
 def _shared(client: Client, task: Task, bare: BareQuerier, synced: FileIO) -> Iterator[Measurement]:
     """A server with its log in a database beside the one with a file, in turns, and beside a page synced to the disk.
 
-    A disk that allows so many syncs a second answers at once or late, so that each comes first as often as last.
+    A disk with a limited rate of syncs answers at once or late, so each comes first as often as last.
     """
     shared = client.create_task(workload.bench_spec())
     workload.fill(shared, 500)

@@ -185,7 +185,7 @@ def _workers(client: Client, count: int, *words: str) -> Any:
 
 
 def _trained(task: Task, least: int = 0) -> int:
-    """Training trials that the task has, once there are so many."""
+    """The task's number of training trials, once it has reached `least`."""
     deadline = time.monotonic() + _START_S
     while time.monotonic() < deadline:
         with suppress(CrkrError):  # not created yet

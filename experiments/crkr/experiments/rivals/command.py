@@ -22,7 +22,7 @@ def rivals(
     seeds: Annotated[int, typer.Option(min=1, max=10_000, help="Runs of each rival, one a seed.")] = 8,
     first_seed: Annotated[int, typer.Option(min=0, max=2**30, help="Seed of the first run.")] = 0,
     trials: Annotated[
-        list[int] | None, typer.Option("--trials", min=0, max=100_000, help="Judge after so many; may be repeated.")
+        list[int] | None, typer.Option("--trials", min=0, max=100_000, help="Judge after this many; may be repeated.")
     ] = None,
     contexts: Annotated[int, typer.Option(min=1, max=1_000_000, help="Fresh contexts of each judgement.")] = 300,
     judge: Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Seed of these contexts.")] = 777,

@@ -69,7 +69,7 @@ def _learn(skill: Skill, part: tuple[Contest, str, Maker, int]) -> tuple[list[Ro
 
 
 def beside(rows: Rows, rivals: Mapping[str, str], trials: int) -> tuple[dict[str, Comparison | None], ...]:
-    """Each way beside another, after so many trials and by the area under their curves; `rivals` is way -> other."""
+    """Each way beside another, after some trials and by the area under their curves; `rivals` is way -> other."""
     pairs = {way: [(way, rival)] for way, rival in rivals.items() if way != rival}
     return tuple(
         {way: compare(rows.all, pair, trials, area=area) for way, pair in pairs.items()} for area in (False, True)

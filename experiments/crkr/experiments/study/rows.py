@@ -184,7 +184,7 @@ def summarise(rows: Sequence[Row], way: str, trials: int) -> Summary:
 
 
 def rates(rows: Sequence[Row], way: str, trials: int, *, area: bool = False) -> dict[int, float]:
-    """Seed -> success rate after so many trials; with `area` the mean rate up to there, the area under its curve."""
+    """Seed -> success rate after `trials`; with `area` the mean rate up to there, the area under its curve."""
     curves: dict[int, dict[int, float]] = {}
     for row in rows:
         if row.way == way and row.trials <= trials:

@@ -80,7 +80,7 @@ class RuleSelector:
         return Standing(None, None)
 
     def radii(self) -> None:
-        """Nothing need be kept."""
+        """None: there is nothing to keep."""
 
 
 def recency(Z: Array, costs: Array, budget: int) -> Indices:

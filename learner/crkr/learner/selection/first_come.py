@@ -79,4 +79,4 @@ class FirstCome:
         return Standing(None, None)
 
     def radii(self) -> None:
-        """Nothing need be kept."""
+        """None: there is nothing to keep."""

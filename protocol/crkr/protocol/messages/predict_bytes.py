@@ -99,7 +99,7 @@ def _question_form(dimensions: int) -> re.Pattern[bytes]:
 
 @lru_cache(1024)
 def _name(data: bytes) -> str:
-    """A worker's name; "" where it is none."""
+    """A worker's name; "" where the bytes are not a valid one."""
     try:
         name = msgpack.unpackb(data)
     except (ValueError, TypeError, msgpack.UnpackException):

@@ -26,7 +26,7 @@ __all__ = ["SealCheck"]
 
 logger = logging.getLogger(__name__)
 
-_DELAY_S: Final = 2.0  # whoever waited for the restart comes first
+_DELAY_S: Final = 2.0  # requests that waited for the restart come first
 _LEAST_PRIORITY: Final = 19
 
 

@@ -38,7 +38,7 @@ FEW: Final = 5000  # entries read as whole rows, each checked; longer logs are r
 
 
 def open_directory(directory: Path) -> tuple[SqliteLog, list[ServedTask]]:
-    """Open the log in a data directory, which is made where there is none, and restore its tasks.
+    """Open the log in a data directory, which is created if missing, and restore its tasks.
 
     Raises:
         StorageError: In use, damaged, shorter than what was acknowledged, of a newer version, or not writable.

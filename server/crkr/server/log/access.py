@@ -32,7 +32,7 @@ def database_file(where: str | Path) -> Path:
 
 
 def read_log(where: str | Path) -> LogReader:
-    """Open a log for reading, beside a server that uses it if need be.
+    """Open a log for reading; a server may use it at the same time.
 
     Raises:
         StorageError: There is no log, it is damaged, or of a newer version.

@@ -33,7 +33,7 @@ def columns_of(rows: Sequence[tuple[Any, ...]], dimensions: int, outputs: int, m
     try:
         numbers = np.array(costs, dtype="<f8")  # None becomes NaN
         if max(kinds) >= len(KINDS):
-            raise ValueError(f"kind {max(kinds)} is none")
+            raise ValueError(f"kind {max(kinds)} is unknown")
         digests = tuple([digest[:DIGEST_BYTES] for digest in digests])
         stored = numbers.tobytes()
         for row, digest in enumerate(digests):

@@ -1,6 +1,6 @@
 """Files of a data directory, which may have been prepared by an attacker: only plain files are opened, never links.
 
-A symbolic link would have its target overwritten, a fifo would block the start for ever, and a database with two names
+A symbolic link would have its target overwritten, a fifo would block the start forever, and a database with two names
 would have two write-ahead logs. File systems of a network cannot hold a task log: they lack locks, or memory
 shared between processes.
 """

@@ -70,7 +70,7 @@ def storage_errors(doing: str) -> Iterator[None]:
         yield
     except sqlite3.Error as error:
         name = str(getattr(error, "sqlite_errorname", ""))
-        undecodable = not name and isinstance(error, sqlite3.OperationalError)  # text that is none
+        undecodable = not name and isinstance(error, sqlite3.OperationalError)  # text that is not valid UTF-8
         advice = "; restore a backup" if undecodable or name in _DAMAGED else ""
         if name == "SQLITE_READONLY_ROLLBACK":
             advice = "; a server that starts on it undoes what was interrupted"

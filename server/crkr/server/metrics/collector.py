@@ -94,7 +94,7 @@ class MetricsCollector(Collector):
             faults.add_metric([thread], count)
         yield faults
         ended = len(FAULTS.ended())
-        yield GaugeMetricFamily("crkr_threads_ended", "Threads that are no more: restart the server.", ended)
+        yield GaugeMetricFamily("crkr_threads_ended", "Threads that have ended: restart the server.", ended)
 
     def _queues(self) -> Iterator[Metric]:
         waiting = GaugeMetricFamily("crkr_queue_waiting", "Requests that wait.", labels=["verb"])

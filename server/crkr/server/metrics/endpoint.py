@@ -24,7 +24,7 @@ logger = logging.getLogger(__name__)
 _PATIENCE_S: Final = 5.0  # with a scraper that says nothing
 _MOST: Final = 16  # connections at once; another one takes the place of the oldest
 _PAUSE_S: Final = 0.1  # where none can be taken, as the process has no file left
-_POLL_S: Final = 0.05  # so long its end may take
+_POLL_S: Final = 0.05  # the longest delay of its end
 
 
 @final
@@ -90,7 +90,7 @@ class _Http(socketserver.ThreadingTCPServer):
     def get_request(self) -> tuple[socket.socket, Any]:
         try:
             return super().get_request()
-        except OSError:  # who waits is still there, so that the next look would find them at once
+        except OSError:  # the waiting client is still there, so the next attempt would fail at once
             self._closing.wait(_PAUSE_S)
             raise
 
@@ -123,7 +123,7 @@ class _Http(socketserver.ThreadingTCPServer):
     def handle_error(self, request: Any, client_address: Any) -> None:
         del request
         error = sys.exception()
-        if not isinstance(error, ConnectionError | TimeoutError):  # then the scraper left, which is its own affair
+        if not isinstance(error, ConnectionError | TimeoutError):  # otherwise the scraper just left
             logger.error("metrics could not be given to %s", client_address, exc_info=error)
 
 

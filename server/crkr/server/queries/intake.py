@@ -116,7 +116,7 @@ class Intake:
         return self._answer(turn, source)
 
     def _drain(self, source: _Source) -> None:
-        """Receive waiting queries, but not so many that predictions wait for it."""
+        """Receive waiting queries, few enough not to delay predictions."""
         for _ in range(_ROUND):
             query = source.queries.try_recv()
             if query is None:

@@ -201,7 +201,7 @@ def _success(
     if measure is not None:
         return lambda episode: _deviation(measure(episode), tolerances) <= 1.0, "success is an outcome in tolerance"
     good = float(np.percentile(returns(), GOOD))
-    said = f"success is a return of at least {good:.4g}, which one random trial in ten reaches; better say what it is"
+    said = f"success is a return of at least {good:.4g}, which one random trial in ten reaches; better define it"
     return lambda episode: episode.total >= good, said
 
 

@@ -37,7 +37,7 @@ def motion_for(environment: Environment, via_points: int | None, goal_bounds: Bo
     """The motion that suits an environment.
 
     A stroke of the joints where the environment is a MuJoCo model whose actions drive joints one by one and
-    `via_points` is None; otherwise actions through so many points, one unless given. Raises `Invalid` for bounds that
+    `via_points` is None; otherwise actions through that many points, one unless given. Raises `Invalid` for bounds that
     leave goals no room.
     """
     if environment.steps > 1 and via_points is None and _drives_joints(environment):

@@ -60,8 +60,8 @@ def gymnasium_skill(
         outcome: Measures by how much a trial was off: numbers by name, signed, 0 is perfect. Environments with a
             desired and an achieved goal measure their difference unless told otherwise.
         tolerance: Size of the outcome's numbers that still succeeds; one for all, or by name.
-        via_points: Actions pass so many points. Unless given, joints of MuJoCo models make a stroke to the goal's
-            joint positions, and other actions stay the same during an episode.
+        via_points: Number of points that actions pass. Unless given, joints of MuJoCo models make a stroke to the
+            goal's joint positions, and other actions stay the same during an episode.
         steps: Of an episode, where the environment has no time limit.
         start: Trials that fill the goal's bounds before anything is learned from.
         settings: Further fields of the task's specification.

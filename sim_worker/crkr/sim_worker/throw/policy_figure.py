@@ -16,7 +16,7 @@ from crkr.sim_worker.throw.planner import full_goal
 __all__ = ["draw_throws"]
 
 INTERVAL: Final = 0.02  # [s]
-SPARSE: Final = 5  # wall and bin are drawn for one in so many states, else they cover each other
+SPARSE: Final = 5  # wall and bin are drawn for one state in this many, or they would cover each other
 WITHOUT_LANDING: Final = 1.0  # how much of a flight is drawn that never comes down to the rim [s]
 
 

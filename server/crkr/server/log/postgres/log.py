@@ -69,7 +69,7 @@ class PostgresLog:
 
     @property
     def where(self) -> str:
-        """The URL, with its password if it has one: whoever reads the log by it needs that."""
+        """The URL, with its password if it has one, which readers of the log need."""
         return self._url
 
     def owns(self, task: str) -> bool:
@@ -109,7 +109,7 @@ class PostgresLog:
                         f"and {own.last} were acknowledged; fail over to a copy that has them, or restart all servers "
                         "to go on with what is there"
                     )
-                if now != name:  # what is served would have to change names in mid-flight
+                if now != name:  # the served task would have to change its name during requests
                     self._lost("a task was renamed or deleted as the connection was lost: it is read anew")
                     raise moved(name)
                 if last > own.last:

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from uuid import uuid4
 
 import numpy as np
@@ -146,3 +147,27 @@ def test_without_exploring_goals_are_the_means_clipped_to_the_bounds(make_spec: 
     assert answer.means[0, 0] > 1.0
     np.testing.assert_array_equal(answer.goals, np.clip(answer.means, -1, 1))
     assert answer.policy == "mean"
+
+
+def test_a_model_tells_the_chances_of_its_moment_whenever_it_is_asked(make_spec: MakeSpec) -> None:
+    state, ids = np.array([0.3, -0.2]), [uuid4() for _ in range(30)]
+    hit = {"cost": 0.5, "success": True, "learn": None, "kind": "trial", "outcome": None, "removed": False}
+
+    def chances(*, at_once: bool) -> list[float]:
+        """After misses, after one of them turned out a hit, and once ten are removed."""
+        learner = taught(make_spec())
+        learner.report(state=np.zeros((30, 2)), goal=np.zeros((30, 2)), cost=0.5, success=False, id=ids)
+        models = [learner.model]
+        for change in (
+            partial(learner.apply_amend, learner.version + 1, ids[:1], [hit]),
+            partial(learner.remove, ids[1:11]),
+        ):
+            if at_once:
+                models[-1].predict(state)
+            change()
+            models.append(learner.model)
+        return [float(np.asarray(model.predict(state).success_probability)) for model in models]
+
+    found = chances(at_once=False)
+    assert found == chances(at_once=True)
+    assert found == sorted(set(found))

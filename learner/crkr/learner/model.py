@@ -229,7 +229,8 @@ def _rate(recent: object, d: int) -> SuccessRate | None:
         return None
     success = finite_array(_array(recent.get("success"), "recent.success"), "recent.success", (None,))
     states = _array(recent.get("states"), "recent.states").reshape(-1, d)
-    return SuccessRate(finite_array(states, "recent.states", (len(success), d)), success)
+    checked = finite_array(states, "recent.states", (len(success), d))
+    return SuccessRate(lambda: (checked, success))
 
 
 def _array(value: object, name: str) -> Array:

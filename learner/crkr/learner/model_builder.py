@@ -16,6 +16,7 @@ from crkr.learner.kernel_matrix import KernelMatrix
 from crkr.learner.learned_trials import LearnedTrials
 from crkr.learner.model import Model
 from crkr.learner.parameters import Parameters
+from crkr.learner.samples.history import TrialHistory
 from crkr.protocol import Array, TaskSpec
 from crkr.protocol.messages.sizes import MOST_RECENT
 
@@ -104,10 +105,7 @@ class ModelBuilder:
         if self._trials.outcomes is not None:
             return None
         history = self._store.history()
-        rows = history.newest_tried(MOST_RECENT)
-        if not len(rows):
-            return None
-        return SuccessRate(history.states[rows], history.successes(rows).astype(float), self.kernel)
+        return SuccessRate(partial(_newest, history), self.kernel) if history.any_tried else None
 
     def _prior(self, spec: TaskSpec) -> Array:
         rows = self._store.demonstrations()
@@ -117,3 +115,9 @@ class ModelBuilder:
             low, high = spec.bounds
             return np.asarray(low / 2 + high / 2)
         return np.asarray(self._store.goals[rows].mean(axis=0))
+
+
+def _newest(history: TrialHistory) -> tuple[Array, Array]:
+    """States of the newest trials, executed or refused, and 1 for each success, else 0."""
+    rows = history.newest_tried(MOST_RECENT)
+    return history.states[rows], history.successes(rows).astype(float)

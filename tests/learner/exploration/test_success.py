@@ -50,9 +50,13 @@ def test_absurd_features_give_probabilities() -> None:
     assert ((curve.at(features) >= 0) & (curve.at(features) <= 1)).all()
 
 
+def rate_of(states: Array, success: Array) -> SuccessRate:
+    return SuccessRate(lambda: (states, success))
+
+
 def test_the_rate_is_local_and_falls_back_on_all_trials() -> None:
     Z = np.concatenate([np.zeros((50, 2)), np.full((50, 2), 8.0)])
-    rate = SuccessRate(Z, np.repeat([1.0, 0.0], 50))
+    rate = rate_of(Z, np.repeat([1.0, 0.0], 50))
     near, there, far = rate.at(np.array([[0.0, 0.0], [8.0, 8.0], [400.0, -400.0]]))
     assert near > 0.95
     assert there < 0.05
@@ -63,5 +67,5 @@ def test_the_rate_is_local_and_falls_back_on_all_trials() -> None:
 def test_the_rate_is_a_probability_where_all_succeeded() -> None:
     rng = np.random.default_rng(1)
     for count in range(1, 60):
-        rate = SuccessRate(rng.normal(size=(count, 2)), np.ones(count))
+        rate = rate_of(rng.normal(size=(count, 2)), np.ones(count))
         assert (rate.at(rng.normal(size=(50, 2))) <= 1.0).all()

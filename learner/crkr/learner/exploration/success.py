@@ -7,6 +7,7 @@ The weights maximise the posterior under a normal prior [Rasmussen2006, ch. 3.4 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final, final
@@ -70,16 +71,14 @@ class SuccessCurve:
 class SuccessRate:
     """How often the newest trials succeeded in states near by; for tasks whose outcomes are not modelled.
 
-    What it needs besides is made when first asked for, as a step is often followed by another before any question.
+    All it needs is made when first asked for, as a step is often followed by another before any question.
 
     Attributes:
-        states: (n, d) states of the newest trials, n >= 1.
-        success: (n,) 1 for a success, else 0.
+        newest: Gives (n, d) states of the newest trials, n >= 1, and (n,) 1 for a success, else 0.
         kernel: Standardises the states; None: they are already.
     """
 
-    states: Array
-    success: Array
+    newest: Callable[[], tuple[Array, Array]]
     kernel: Kernel | None = None
 
     def at(self, z: Array) -> Array:
@@ -101,7 +100,17 @@ class SuccessRate:
     @cached_property
     def standardised(self) -> Array:
         """(n, d) standardised states."""
-        return self.states if self.kernel is None else self.kernel.standardise(self.states)
+        states = self._trials[0]
+        return states if self.kernel is None else self.kernel.standardise(states)
+
+    @property
+    def success(self) -> Array:
+        """(n,) 1 for a success, else 0."""
+        return self._trials[1]
+
+    @cached_property
+    def _trials(self) -> tuple[Array, Array]:
+        return self.newest()
 
     @cached_property
     def _terms(self) -> tuple[Array, Array, float]:

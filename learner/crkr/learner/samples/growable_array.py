@@ -51,6 +51,11 @@ class Growable:
         self.rows = self._buffer[:0]
         self.extend(values)
 
+    def detach(self) -> None:
+        """Copies the rows: views that were given out keep what they show."""
+        self._buffer = self._buffer.copy()
+        self.rows = self._buffer[: len(self.rows)]
+
     def _reserve(self, count: int) -> None:
         if count > len(self._buffer):
             capacity = max(count, 2 * len(self._buffer))

@@ -62,6 +62,12 @@ class TrialHistory:
     flags: NDArray[np.uint8]
     removed: NDArray[np.bool_]
 
+    @property
+    def any_tried(self) -> bool:
+        """Whether a trial, executed or refused, is not removed; the newest one tells it most quickly."""
+        newest = len(self.seqs) > 0 and bool(_TRIED[self.kinds[-1]]) and not self.removed[-1]
+        return newest or len(self.newest_tried(1)) > 0
+
     def newest_tried(self, count: int) -> Indices:
         """Rows of the newest trials, executed or refused, that are not removed; at most `count`, ascending."""
         return self._newest(_TRIED, count)

@@ -77,6 +77,7 @@ class SampleStore:
         self._removed = Growable(np.bool_)
         self._keeps_outcomes = outcomes > 0
         self._index = IdIndex()
+        self._given = False  # a history shows the present kinds, flags and removals
 
     def __len__(self) -> int:
         return len(self._seqs)
@@ -229,7 +230,8 @@ class SampleStore:
         return (self._flags.rows[rows] & 1).astype(np.bool_)
 
     def history(self) -> TrialHistory:
-        """All trials of this moment, as views; later changes of costs show in it, later trials do not."""
+        """All trials of this moment, as views; later changes of costs and outcomes show in it, nothing else does."""
+        self._given = True
         return TrialHistory(
             self._seqs.rows,
             self._states.rows,
@@ -266,6 +268,7 @@ class SampleStore:
 
     def amend(self, row: int, values: Mapping[str, Any]) -> None:
         """Changes what stands in `AMENDABLE`, and `removed`; the id and its digest stay."""
+        self._detach()
         self._costs.rows[row] = np.nan if values["cost"] is None else values["cost"]
         self._flags.rows[row] = flags_of(values["success"], values["learn"])
         self._kinds.rows[row] = KINDS.index(values["kind"])
@@ -275,4 +278,12 @@ class SampleStore:
 
     def remove(self, row: int) -> None:
         """Takes a trial out of learning."""
+        self._detach()
         self._removed.rows[row] = True
+
+    def _detach(self) -> None:
+        """Before a change: histories keep what they show."""
+        if self._given:
+            for column in (self._kinds, self._flags, self._removed):
+                column.detach()
+            self._given = False

@@ -167,13 +167,14 @@ class Lane(Generic[_Job]):
             self._finish(request)
         began = time.monotonic()
         unfinished = self._attempt(batch) if batch else ()
-        with self._lock:
-            for request in unfinished:
-                self._count(request, 1)
-                if isinstance(self._queue, FairQueue):
-                    self._queue.put_back(request)
-                else:
-                    self._queue.appendleft(request)
+        if unfinished:
+            with self._lock:
+                for request in unfinished:
+                    self._count(request, 1)
+                    if isinstance(self._queue, FairQueue):
+                        self._queue.put_back(request)
+                    else:
+                        self._queue.appendleft(request)
         took = time.monotonic() - began
         if self._rests and self._queue:
             self._ending.wait(took)

@@ -81,7 +81,7 @@ class PushedBox:
 TASKS: dict[str, Any] = {"reacher5d": Reacher, "box-pushing": PushedBox}
 
 
-def specification(task: Any, environment: Any, seed: int) -> dict[str, Any]:
+def specification(task: Any, environment: Any, seed: int, neighbours: int) -> dict[str, Any]:
     """The task, with bounds of the state from contexts that were drawn."""
     seen = np.array([task.context(environment.reset(seed=10_000 + number)[0]) for number in range(200)])
     spread = np.maximum(np.ptp(seen, axis=0), 1e-3)
@@ -96,6 +96,7 @@ def specification(task: Any, environment: Any, seed: int) -> dict[str, Any]:
         "outcome": [{"name": name, "tolerance": most, "group": "miss"} for name, most in task.outcome.items()],
         "start": {"type": "space-filling", "count": RANDOM},
         "learn_from": "successes",
+        "exploration": {"type": "outcome", "neighbours": neighbours},
     }
 
 
@@ -112,13 +113,14 @@ def main() -> None:
     parser.add_argument("task", choices=TASKS)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--trials", type=int, default=max(MARKS))
+    parser.add_argument("--neighbours", type=int, default=100, help="trials that each model of outcomes is fitted to")
     parser.add_argument("--connect", default="tcp/127.0.0.1:7447")
     chosen = parser.parse_args()
     warnings.simplefilter("ignore")
     task = TASKS[chosen.task]()
     environment = gymnasium.make(task.name)
     with Client(chosen.connect, timeout_s=30.0) as client:
-        learned = client.create_task(specification(task, environment, chosen.seed))
+        learned = client.create_task(specification(task, environment, chosen.seed, chosen.neighbours))
         for number in range(1, chosen.trials + 1):
             observed, _ = environment.reset(seed=1_000_000 * chosen.seed + number)
             state = task.context(observed)

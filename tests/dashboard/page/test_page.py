@@ -48,10 +48,16 @@ def hostile(shared_endpoint: str) -> str:
 
 
 @pytest.fixture(scope="module")
-def shared_endpoint(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The data directory of the server."""
+    return tmp_path_factory.mktemp("server")
+
+
+@pytest.fixture(scope="module")
+def shared_endpoint(data: Path) -> Iterator[str]:
     from processes import shared_server
 
-    with shared_server(tmp_path_factory.mktemp("server")) as endpoint:
+    with shared_server(data) as endpoint:
         yield endpoint
 
 
@@ -183,7 +189,7 @@ def test_a_skill_that_cannot_put_states_plays_fresh_trials(
 
 
 def test_the_film_shows_the_best_and_the_worst_stored_trial_again(
-    page: Page, shared_endpoint: str, browser: Browser, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
+    page: Page, shared_endpoint: str, browser: Browser, tmp_path: Path, data: Path
 ) -> None:
     arguments = ["new", "thrower", "--in", str(tmp_path)]
     assert CliRunner().invoke(build(arguments), arguments).exit_code == 0
@@ -217,7 +223,6 @@ def test_the_film_shows_the_best_and_the_worst_stored_trial_again(
     # A throw at 1 m/s lasts 0.06 s.
     browser.until("document.querySelector('[data-clock=\"1\"]').textContent.endsWith(' s, 50 times slower')")
     assert browser.complaints == []
-    data = next(path for path in tmp_path_factory.getbasetemp().iterdir() if path.name.startswith("server"))
     page("thrower", "--replay", str(data), "--out", str(tmp_path / "stored.html"))
     assert filmed(tmp_path / "stored.html") == [best, worst]
 
@@ -235,10 +240,7 @@ def test_a_skill_of_another_size_is_refused(page: Page, hostile: str, tmp_path: 
     assert "maps R^6 to R^13" in page(*words, status=1).stderr
 
 
-def test_a_data_directory_gives_the_same_curves(
-    page: Page, hostile: str, shared_endpoint: str, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
-) -> None:
-    data = next(path for path in tmp_path_factory.getbasetemp().iterdir() if path.name.startswith("server"))
+def test_a_data_directory_gives_the_same_curves(page: Page, hostile: str, data: Path, tmp_path: Path) -> None:
     page(hostile, "--out", str(tmp_path / "live.html"))
     arguments = ["page", hostile, "--replay", str(data), "--out", str(tmp_path / "stored.html")]
     assert CliRunner().invoke(build(arguments), arguments).exit_code == 0

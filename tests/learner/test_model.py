@@ -171,3 +171,14 @@ def test_a_model_tells_the_chances_of_its_moment_whenever_it_is_asked(make_spec:
     found = chances(at_once=False)
     assert found == chances(at_once=True)
     assert found == sorted(set(found))
+
+
+def test_nothing_is_said_of_success_far_from_all_samples(make_spec: MakeSpec) -> None:
+    learner = taught(make_spec())
+    learner.report(state=[0.1, 0.1], goal=[0.0, 0.0], cost=0.4, success=True)
+    one, several = learner.predict([50.0, 0.0]), learner.predict([[0.0, 0.0], [50.0, 0.0]])
+    assert one.novelty > 0.99
+    assert one.success_probability is not None
+    assert several.success_probability is not None
+    np.testing.assert_array_equal(np.isnan(one.success_probability), True)
+    np.testing.assert_array_equal(np.isnan(several.success_probability), [False, True])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, final
+from typing import Any, Final, final
 from uuid import UUID
 
 import numpy as np
@@ -20,6 +20,8 @@ from crkr.protocol.checks import finite_array
 from crkr.protocol.codec import array_from_wire
 
 __all__ = ["Model"]
+
+_UNLIKE: Final = 0.99  # novelty of a state that is like no sample
 
 
 @final
@@ -124,14 +126,17 @@ class Model:
         z = own.kernel.standardise(states)
         if regression is None:
             means, sigmas, novelty = self._prior(states, explore)
+            unlike = 0.0
         elif z.ndim == 1:
             mean, variance, prior = regression.at(z)
             sigmas = own.scales * (own.explore_scale * math.sqrt(variance + own.exploration_floor))
-            novelty = np.array(min(variance / prior, 1.0))
+            unlike = min(variance / prior, 1.0)
+            novelty = np.array(unlike)
         else:
             mean, variances, priors = regression.over(z)
             sigmas = own.scales * (own.explore_scale * np.sqrt(variances + own.exploration_floor))[:, None]
             novelty = np.minimum(variances / priors, 1.0)
+            unlike = float(novelty.max(initial=0.0))
         if own.novelty_limit is not None:
             _refuse_novel(novelty, own.novelty_limit, own.task)
         if regression is not None:
@@ -146,6 +151,8 @@ class Model:
             goals, corrected, outcome, deviation, chance = self.explorer.best(states, means, sigmas)
         if chance is None:
             chance = np.full(z.shape[:-1], np.nan) if self.rate is None else self.rate.at(z)
+        if unlike > _UNLIKE:  # what was learned elsewhere says nothing there
+            chance = np.where(novelty > _UNLIKE, np.nan, chance)
         for array in (goals, means, sigmas, novelty, corrected, outcome, deviation, chance):
             if array is not None:
                 array.setflags(write=False)

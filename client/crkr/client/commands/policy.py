@@ -14,7 +14,6 @@ from crkr.client import Client
 from crkr.client.cli.console import print_json, print_table, stderr, stdout
 from crkr.client.cli.options import Json, TaskName, check_count, connected, parse_ids, parse_vector
 from crkr.protocol import Prediction, SampleExplanation, TaskSpec
-from crkr.protocol.messages.explanation import far_from_all
 
 __all__ = ["explain", "predict", "report"]
 
@@ -171,10 +170,10 @@ def _show_prediction(answer: Prediction, spec: TaskSpec) -> None:
                 for one, value, sd in expected
             ],
         )
-    if answer.success_probability is not None and not math.isnan(float(answer.success_probability)):
-        far = far_from_all(float(answer.novelty), answer.active)
-        chance = f"succeeds with probability {float(answer.success_probability):.2f}"
-        stdout.print("nothing near was tried: how likely it succeeds is not known" if far else chance)
+    if answer.success_probability is not None:
+        chance = float(answer.success_probability)
+        known = f"succeeds with probability {chance:.2f}"
+        stdout.print("how likely it succeeds is not known: nothing near was tried" if math.isnan(chance) else known)
     stdout.print(
         f"novelty {float(answer.novelty):.3f}, policy {answer.policy}, {answer.active} active samples, "
         f"model {answer.model_version}"

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Any, Final, final
+from typing import Any, final
 from uuid import UUID
 
 from crkr.protocol.checks import entries, flag, integer, number, required, text
 from crkr.protocol.codec import id_from_wire
 
-__all__ = ["Explanation", "Grounds", "Neighbour", "SampleExplanation", "far_from_all"]
-
-_UNLIKE: Final = 0.99  # novelty
+__all__ = ["Explanation", "Grounds", "Neighbour", "SampleExplanation"]
 
 
 @final
@@ -85,11 +83,6 @@ class Grounds:
         )
 
 
-def far_from_all(novelty: float, samples: int) -> bool:
-    """Whether a state is so unlike all samples that no probability of success can be known."""
-    return samples > 0 and novelty > _UNLIKE
-
-
 @final
 @dataclass(frozen=True, slots=True)
 class Explanation:
@@ -120,7 +113,7 @@ class Explanation:
         elif own.policy == "corrected":
             basis += ", corrected by the outcomes of earlier trials"
         seen = f"; {own.succeeded} of the {own.tried} trials nearest to this state succeeded" if own.tried else ""
-        chance = None if far_from_all(self.novelty, own.samples) else own.success_probability
+        chance = own.success_probability
         hope = "" if chance is None else f", and this goal should with probability {chance:.2f}"
         return f"The goal is {basis}{seen}{hope}."
 

@@ -28,7 +28,10 @@ def shares(postgres: Postgres) -> Callable[[Any], list[int]]:
 
 
 def test_tasks_are_shared_and_either_server_answers_for_all(
-    make_pair: Callable[..., Any], shares: Callable[[Any], list[int]], processes: Processes
+    make_pair: Callable[..., Any],
+    shares: Callable[[Any], list[int]],
+    processes: Processes,
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
     pair = make_pair(peer="")
     with (
@@ -40,6 +43,7 @@ def test_tasks_are_shared_and_either_server_answers_for_all(
             made.create_task(replace(SPEC, name=name))
             made.task(name).report(state=[0.1, 0.2], goal=[0.3, 0.4], cost=0.5, success=True, wait=True)
             assert seen.task(name).predict([0.1, 0.2]).model_version == 2
+        assert "another client's" not in caplog.text  # none takes the other server for a stranger
         processes.wait_until(lambda: shares(pair) == [2, 2])
         for client in (here, there):
             processes.wait_until(lambda client=client: [one["samples"] for one in client.tasks()] == [1] * 4)

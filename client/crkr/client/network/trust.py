@@ -34,18 +34,14 @@ class NotTheServer(Exception):
 
 @final
 class Trust:
-    """What a client knows of the server's session; threads may share it.
-
-    Attributes:
-        strangers: Answers that were ignored because they were not the server's.
-    """
+    """What a client knows of the server's session; threads may share it."""
 
     def __init__(self) -> None:
         self._server: zenoh.ZenohId | None = None
         self._is_router = False
         self._sharing: frozenset[str] = frozenset()  # Zenoh ids of the servers that share its tasks
         self._ask_at = 0.0  # [s, monotonic]
-        self.strangers = 0
+        self._warned = False
 
     def pick(self, session: zenoh.Session, replies: zenoh.handlers.Handler[zenoh.Reply]) -> zenoh.Reply:
         """Returns the server's reply, or Zenoh's own error, among the replies to one question.
@@ -55,6 +51,14 @@ class Trust:
             NotTheServer: It ended with answers of other clients only.
         """
         others: dict[str, zenoh.Reply] = {}  # by session
+        try:
+            return self._picked(session, replies, others)
+        finally:
+            self._tell_of_strangers(others)
+
+    def _picked(
+        self, session: zenoh.Session, replies: zenoh.handlers.Handler[zenoh.Reply], others: dict[str, zenoh.Reply]
+    ) -> zenoh.Reply:
         while True:
             try:
                 reply = replies.recv()
@@ -67,14 +71,15 @@ class Trust:
                 stranger = next(iter(others.values()))
                 if not self._is_router:
                     return self._adopt(stranger)
-                raise NotTheServer(f"the answer was of another client, not of the server: {_name(stranger)}") from None
+                raise NotTheServer(
+                    f"the answer was of another client, not of the server: Zenoh id {_zid(stranger)}"
+                ) from None
             if self.is_server(session, reply):
                 return reply
             if _is_timeout(reply):
                 return self.sharing_server(session, others) or reply
-            self._note(reply)
             if len(others) < _MOST_OTHERS:
-                others.setdefault(_name(reply), reply)
+                others.setdefault(_zid(reply), reply)
 
     def is_server(self, session: zenoh.Session, reply: zenoh.Reply) -> bool:
         """Whether a reply is known to be the server's."""
@@ -118,19 +123,21 @@ class Trust:
     def _adopt(self, reply: zenoh.Reply) -> zenoh.Reply:
         """Takes another session, behind a router, for the server."""
         if self._server is not None:
-            _logger.warning("another server answers, %s: the one before is gone", _name(reply))
+            _logger.warning("another server answers, Zenoh id %s: the one before is gone", _zid(reply))
         self._server = None if reply.replier_id is None else reply.replier_id.zid
         return reply
 
-    def _note(self, reply: zenoh.Reply) -> None:
-        self.strangers += 1
-        level = logging.WARNING if self.strangers == 1 else logging.DEBUG
-        _logger.log(level, "ignored an answer that is not the server's, but another client's: %s", _name(reply))
+    def _tell_of_strangers(self, others: Mapping[str, zenoh.Reply]) -> None:
+        """Warns once of answers by a session that did not turn out to be a server."""
+        stranger = next((zid for zid in others if zid not in self._sharing and zid != str(self._server)), None)
+        if stranger is not None and not self._warned:
+            self._warned = True
+            _logger.warning("ignored an answer that is not the server's, but another client's: Zenoh id %s", stranger)
 
 
 def _is_timeout(reply: zenoh.Reply) -> bool:
     return reply.replier_id is None and reply.err is not None and reply.err.payload.to_bytes() == _TIMEOUT
 
 
-def _name(reply: zenoh.Reply) -> str:
-    return "without a Zenoh id" if reply.replier_id is None else f"Zenoh id {reply.replier_id.zid}"
+def _zid(reply: zenoh.Reply) -> str:
+    return "unknown" if reply.replier_id is None else str(reply.replier_id.zid)

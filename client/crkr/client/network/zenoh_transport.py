@@ -76,11 +76,6 @@ class ZenohTransport(Closing):
         """Where the server is."""
         return self.session.connection.endpoint
 
-    @property
-    def strangers(self) -> int:
-        """Answers that were ignored because they came from another client."""
-        return self._trust.strangers
-
     def query(
         self, key: str, kind: str, payload: bytes, deadline: float, *, patient: bool = False, optional: bool = False
     ) -> bytes:

@@ -124,7 +124,7 @@ def test_whatever_happens_at_once_log_model_and_copies_agree(
             server.process.send_signal(signal.SIGINT if turn % 3 == 2 else signal.SIGKILL)
             copy = tmp_path / f"copy {turn}"
             copy.mkdir()
-            crkr("backup", str(server.data), str(copy / "crkr.sqlite3"))  # beside a server that dies or starts
+            crkr("backup", str(place), str(copy / "crkr.sqlite3"))  # beside a server that dies or starts
             server.process.wait(timeout=60)
             server = start_server(data=place, port=free_port)
             assert "agree" in crkr("replay", str(copy))
@@ -140,4 +140,4 @@ def test_whatever_happens_at_once_log_model_and_copies_agree(
     assert set(crowd.acknowledged) <= {sample.trial.id for sample in stored}
     server.process.terminate()
     assert server.process.wait(timeout=60) == 0
-    assert "agree" in crkr("replay", str(server.data))
+    assert "agree" in crkr("replay", str(place))

@@ -1,7 +1,7 @@
 """Checks every row of a long log after a restart, which reads only what learning needs.
 
 A trial's seal covers who reported it, when, and what it said besides. To check a million of them takes as long as the
-whole restart, so it is done afterwards, by a process of its own at the lowest priority:
+whole restart, so it is done afterwards, by a process of its own at a low priority:
 `python -m crkr.server.inspection.seal_check`, which reads `["LOG", {"TASK": POSITION}]` from standard input.
 """
 
@@ -27,7 +27,7 @@ __all__ = ["SealCheck"]
 logger = logging.getLogger(__name__)
 
 _DELAY_S: Final = 2.0  # requests that waited for the restart come first
-_LEAST_PRIORITY: Final = 19
+_PRIORITY: Final = 10  # below the server's, and not so low that a busy machine never comes to it
 
 
 @final
@@ -82,7 +82,7 @@ class SealCheck:
                     process_group=0,
                     encoding="utf-8",
                 )
-                os.setpriority(os.PRIO_PROCESS, self._process.pid, _LEAST_PRIORITY)
+                os.setpriority(os.PRIO_PROCESS, self._process.pid, _PRIORITY)
         except OSError as error:
             logger.warning("the rows of the task log are not looked over: %s", error.strerror)
             return

@@ -43,8 +43,11 @@ def test_tasks_are_shared_and_either_server_answers_for_all(
             made.create_task(replace(SPEC, name=name))
             made.task(name).report(state=[0.1, 0.2], goal=[0.3, 0.4], cost=0.5, success=True, wait=True)
             assert seen.task(name).predict([0.1, 0.2]).model_version == 2
-        assert "another client's" not in caplog.text  # none takes the other server for a stranger
         processes.wait_until(lambda: shares(pair) == [2, 2])
+        caplog.clear()
+        with Client(pair.members[0].endpoint, timeout_s=30) as fresh:
+            assert [fresh.task(name).predict([0.1, 0.2]).model_version for name in NAMES] == [2] * 4
+        assert "another client's" not in caplog.text  # it does not take the other server for a stranger
         for client in (here, there):
             processes.wait_until(lambda client=client: [one["samples"] for one in client.tasks()] == [1] * 4)
             assert [one["spec"].name for one in client.tasks()] == list(NAMES)

@@ -91,7 +91,7 @@ def test_a_client_that_asks_more_than_can_be_refused_does_not_make_another_task_
                 assert greedy.stdout is not None
                 assert greedy.stdout.readline() == "asking\n"
                 for _ in range(20):
-                    assert task.predict([0.5, 0.5], timeout_s=2.0).active == 1
+                    assert task.predict([0.5, 0.5], timeout_s=10.0).active == 1
             finally:
                 greedy.kill()
 

@@ -41,6 +41,7 @@ class Trust:
         self._is_router = False
         self._sharing: frozenset[str] = frozenset()  # Zenoh ids of the servers that share its tasks
         self._ask_at = 0.0  # [s, monotonic]
+        self._unsure = False  # whether the router did not say just now which servers share its tasks
         self._warned = False
 
     def pick(self, session: zenoh.Session, replies: zenoh.handlers.Handler[zenoh.Reply]) -> zenoh.Reply:
@@ -51,10 +52,12 @@ class Trust:
             NotTheServer: It ended with answers of other clients only.
         """
         others: dict[str, zenoh.Reply] = {}  # by session
+        self._unsure = False
         try:
             return self._picked(session, replies, others)
         finally:
-            self._tell_of_strangers(others)
+            if not self._unsure:
+                self._tell_of_strangers(others)
 
     def _picked(
         self, session: zenoh.Session, replies: zenoh.handlers.Handler[zenoh.Reply], others: dict[str, zenoh.Reply]
@@ -99,7 +102,10 @@ class Trust:
         It is asked once the question has ended: Zenoh receives nothing more while a channel of replies is full.
         """
         now = time.monotonic()
-        if not self._is_router or not others or now < self._ask_at:
+        if not self._is_router or not others:
+            return None
+        self._unsure = True
+        if now < self._ask_at:
             return None
         self._ask_at = now + _ASK_AGAIN_S
         routers = set(session.info.routers_zid())
@@ -117,6 +123,7 @@ class Trust:
                 with suppress(Invalid):
                     told = unpack(reply.ok.payload.to_bytes()).get("servers", ())
                     self._sharing = frozenset(one for one in told if isinstance(one, str))
+                    self._unsure = False
                 break
         return next((reply for reply in others.values() if self.is_server(session, reply)), None)
 

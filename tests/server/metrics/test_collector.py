@@ -139,7 +139,8 @@ def test_the_endpoint_ends_with_the_server_and_only_loopback_is_listened_on(
     server = start_server("--metrics", str(metrics_port))
     held = socket.create_connection(("127.0.0.1", metrics_port))  # a scraper that never asks delays nothing
     with closing(held):
-        assert f"metrics at http://127.0.0.1:{metrics_port}/metrics" in server.log.read_text()
+        said = f"metrics at http://127.0.0.1:{metrics_port}/metrics"
+        processes.wait_until(lambda: said in server.log.read_text(), server.log)  # a thread of its own writes it
         assert f"0100007F:{metrics_port:04X} 00000000:0000 0A" in Path("/proc/net/tcp").read_text()
         server.process.send_signal(signal.SIGTERM)
         assert server.process.wait(timeout=60) == 0

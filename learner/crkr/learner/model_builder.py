@@ -18,7 +18,7 @@ from crkr.learner.model import Model
 from crkr.learner.parameters import Parameters
 from crkr.learner.samples.history import TrialHistory
 from crkr.protocol import Array, TaskSpec
-from crkr.protocol.messages.sizes import MOST_RECENT
+from crkr.protocol.specification.limits import MOST_RECENT
 
 __all__ = ["ModelBuilder"]
 

@@ -52,11 +52,19 @@ from crkr.protocol.messages.explanation import Explanation, Grounds, Neighbour, 
 from crkr.protocol.messages.predict import Prediction, PredictRequest, check_states
 from crkr.protocol.messages.report import Receipt, ReportRequest, StoredTrial
 from crkr.protocol.messages.report_arguments import TrialFields, make_trials
-from crkr.protocol.messages.sizes import check_model_fits, most_active, most_states, most_states_answered
 from crkr.protocol.messages.telemetry import MAX_TELEMETRY_BYTES, Geom, Trace, geoms_from_wire, geoms_to_wire
 from crkr.protocol.plain_text import LogFormatter, printable
 from crkr.protocol.specification.dimensions import GoalDimension, OutcomeEntry, StateDimension
-from crkr.protocol.specification.limits import MOST_ACTIVE, MOST_KEPT, MOST_NEIGHBOURS, refuse_absurd
+from crkr.protocol.specification.limits import (
+    MOST_ACTIVE,
+    MOST_KEPT,
+    MOST_NEIGHBOURS,
+    check_model_fits,
+    most_active,
+    most_states,
+    most_states_answered,
+    refuse_absurd,
+)
 from crkr.protocol.specification.settings import Exploration, KernelSettings
 from crkr.protocol.specification.task_spec import CHANGEABLE, TaskSpec
 from crkr.protocol.trial import AMENDABLE, KINDS, Trial

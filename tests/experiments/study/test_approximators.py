@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from crkr.experiments.study.approximators import APPROXIMATORS
+from crkr.experiments.study.approximators import APPROXIMATORS, Way
 from crkr.experiments.study.costs import AppendedRows, trial_costs
-from crkr.experiments.study.ways import Way
 from crkr.learner import Kernel, Regression
 from crkr.sim_worker.randomness import demonstration_rng
 from crkr.sim_worker.skill import SkillOptions

@@ -7,8 +7,8 @@ import pytest
 
 from crkr.experiments.rivals.comparison import Contest, train
 from crkr.experiments.study.ablations import ABLATIONS
+from crkr.experiments.study.approximators import Way
 from crkr.experiments.study.rows import Row, Rows
-from crkr.experiments.study.ways import Way
 from crkr.sim_worker.skill import SkillOptions
 from crkr.sim_worker.table_tennis.table_tennis import TableTennis
 

@@ -9,6 +9,7 @@ from crkr.sim_worker.arm.dynamics import Arm
 from crkr.sim_worker.simulation.flight import Ball
 from crkr.sim_worker.simulation.simulation import load_spec
 from crkr.sim_worker.throw import Throw
+from crkr.sim_worker.throw.environments import make_arm
 from crkr.sim_worker.throw.layouts import (
     BALL_MASS,
     BALL_RADIUS,
@@ -20,7 +21,6 @@ from crkr.sim_worker.throw.layouts import (
 )
 from crkr.sim_worker.throw.outcome import Passage, reason_of
 from crkr.sim_worker.throw.planner import HOME, full_goal
-from crkr.sim_worker.throw.scene import make_arm
 
 LAYOUT = Layout(2.3, 0.1, 1.8, 0.9)
 DRAG = 0.5 * 1.2 * 0.47 * np.pi * 0.0335**2 / 0.058  # [1/m]

@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from crkr.experiments.bench.measurements import Measurement, ratio
 from crkr.experiments.learning.run import Course, trained_learner
 from crkr.protocol import Array
-from crkr.sim_worker.arm import tracking
-from crkr.sim_worker.arm.dynamics import ACCELERATION_LIMITS, SPEED_LIMITS, Arm
+from crkr.sim_worker.arm.dynamics import ACCELERATION_LIMITS, SPEED_LIMITS, Arm, tracking_controls
 from crkr.sim_worker.primitives.stroke import Infeasible, JointLimits, Primitive
 from crkr.sim_worker.randomness import training_rng
 from crkr.sim_worker.skill import SkillOptions
@@ -137,7 +136,7 @@ class _BareSteps:
         swing = self._primitive.trajectory(HOME, goal[:6], goal[6:12], hit_time)
         step = self._simulation.timestep
         times = np.arange(int(np.ceil((hit_time + FOLLOW) / step)), dtype=np.float64) * step
-        controls = tracking.controls(self._arm, self._simulation.gains, swing, times)
+        controls = tracking_controls(self._arm, self._simulation.gains, swing, times)
         start = self._simulation.start(HOME, ball)
         return _timed(lambda: self._simulation.run(start, controls))
 

@@ -1,4 +1,4 @@
-"""Approximations of regression on all samples, learned by the paper's exploration.
+"""Approximations of regression on all samples, and the rules that the study compares.
 
     Z  (n, d)  standardised states of all samples      u  (m,)    positions of the samples that ANMS keeps
     Y  (n, p)  scaled goals minus their prior mean     N  (n,)    noise variances
@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Final, final
+from typing import Final, NamedTuple, final
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -19,11 +19,13 @@ from scipy.spatial.distance import cdist
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel
 
+from crkr.experiments.rivals.rival import Crkr, Rival
+from crkr.experiments.study.selectors import RIVAL_SELECTORS
 from crkr.learner import Anms, GaussianExplorer, Kernel, Parameters, Regression
 from crkr.protocol import Array, TaskSpec, training_id
 from crkr.sim_worker.skill import Demonstration, TrialResult
 
-__all__ = ["APPROXIMATORS", "ApproximateLearner"]
+__all__ = ["APPROXIMATORS", "RULES", "ApproximateLearner", "Way"]
 
 Indices = np.ndarray[tuple[int], np.dtype[np.intp]]
 Posterior = Callable[[Array], tuple[Array, Array]]
@@ -150,3 +152,30 @@ APPROXIMATORS: Final[Mapping[str, Approximator]] = {
     "all-by-nearest": partial(nearest, everything=True),
     "anms-by-nearest": partial(nearest, everything=False),
 }
+RULES: Final = (*RIVAL_SELECTORS, *APPROXIMATORS)
+WITHOUT_BUDGET: Final = ("full", "all-by-nearest")  # these use all samples; one run serves for every budget
+
+
+class Way(NamedTuple):
+    """A rule with its budget and trade-off; called with a specification and a seed, it makes a learner."""
+
+    rule: str
+    budget: int
+    tradeoff: float
+
+    @property
+    def name(self) -> str:
+        """Its name in the table."""
+        if self.rule in WITHOUT_BUDGET:
+            return f"{self.rule}, lambda {self.tradeoff:g}"
+        return f"{self.rule}, budget {self.budget}, lambda {self.tradeoff:g}"
+
+    def __call__(self, spec: TaskSpec, seed: int) -> Rival:
+        """Make a learner."""
+        if self.rule in APPROXIMATORS:
+            return ApproximateLearner(self.changed(spec), seed, APPROXIMATORS[self.rule])
+        return Crkr(self.changed(spec), seed, RIVAL_SELECTORS[self.rule])
+
+    def changed(self, spec: TaskSpec) -> TaskSpec:
+        """The specification with this budget and trade-off."""
+        return spec.with_changes({"budget": self.budget, "regularisation": self.tradeoff})

@@ -65,7 +65,7 @@ def study(
     """
     from itertools import product
 
-    from crkr.experiments.study.ways import RULES, Way
+    from crkr.experiments.study.approximators import RULES, Way
     from crkr.protocol import Invalid
 
     unknown = sorted(set(only or ()) - set(RULES))

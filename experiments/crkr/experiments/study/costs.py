@@ -15,9 +15,8 @@ import numpy as np
 from scipy.linalg import blas
 
 from crkr.client.cli.console import print_table
-from crkr.experiments.study.approximators import APPROXIMATORS
+from crkr.experiments.study.approximators import APPROXIMATORS, Way
 from crkr.experiments.study.selectors import RIVAL_SELECTORS
-from crkr.experiments.study.ways import Way
 from crkr.learner import Kernel, Learner
 from crkr.protocol import Array, TaskSpec
 from crkr.sim_worker.skill import Demonstration, TrialResult

@@ -1,7 +1,9 @@
-"""The numbers that a task may have: their products, quotients and sums stay numbers, and no task is too large to serve.
+"""Limits of a task's numbers: products, quotients and sums stay finite, and the task can be served and sent.
 
-A specification that was accepted by an earlier version may have others. It is read as ever, so these limits hold where
-a number is new: at `create_task`, and at `configure` for what changes.
+An earlier version may have accepted other numbers. Such a specification is still read, so the limits apply where a
+number is new: at `create_task`, and at `configure` for what changes.
+
+How much one message holds follows from the dimensions: a state, a goal and an outcome have d, p and q numbers.
 """
 
 from __future__ import annotations
@@ -10,12 +12,23 @@ import math
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Final
 
+from crkr.protocol.codec import MAX_MESSAGE_BYTES, MAX_STATES
 from crkr.protocol.errors import Invalid
 
 if TYPE_CHECKING:
     from crkr.protocol.specification.task_spec import TaskSpec
 
-__all__ = ["MOST_ACTIVE", "MOST_KEPT", "MOST_NEIGHBOURS", "refuse_absurd"]
+__all__ = [
+    "MOST_ACTIVE",
+    "MOST_KEPT",
+    "MOST_NEIGHBOURS",
+    "MOST_RECENT",
+    "check_model_fits",
+    "most_active",
+    "most_states",
+    "most_states_answered",
+    "refuse_absurd",
+]
 
 MOST_ACTIVE: Final = 5000  # samples in a model: a new one takes about a second then, and 200 MB
 MOST_KEPT: Final = 3000  # samples that the selector "full", which has no budget, learns from
@@ -27,6 +40,10 @@ _LEAST_VARIANCE: Final = 1e-12  # of scaled goals
 _LEAST: Final = 1e-30  # of settings in scaled units that are not zero
 _MOST_TEMPERATURES: Final = 64
 _MOST_STEPS: Final = 2e8  # multiplications of the outcome model for one prediction: some 50 ms
+MOST_RECENT: Final = 200  # newest trials in a model
+_NUMBER: Final = 8  # bytes in a message
+_ID: Final = 18  # with its header
+_REST: Final = 4096  # names of fields, and what a message holds once
 
 _Fault = tuple[str, str]  # a field, and what is wrong with it
 
@@ -125,3 +142,39 @@ def _within(field: str, value: float, low: float, high: float = math.inf) -> Ite
 def _zero_or(field: str, value: float, least: float) -> Iterator[_Fault]:
     if 0 < value < least:
         yield field, f"must be 0, or at least {least:g}; got {value!r}"
+
+
+def most_states_answered(outputs: int, measured: int) -> int:
+    """States whose predictions fit into one answer.
+
+    Args:
+        outputs: p.
+        measured: q where outcomes guide the goals, so that an answer predicts them; else 0.
+    """
+    numbers = 3 * outputs + 2 + 2 * measured  # goals, means, sigmas, novelty, P(success); outcomes, deviations
+    return min((MAX_MESSAGE_BYTES - _REST) // (_NUMBER * numbers + _ID), MAX_STATES)
+
+
+def most_states(spec: TaskSpec) -> int:
+    """States that fit into one question, with an id each, and their predictions into its answer."""
+    asked = (MAX_MESSAGE_BYTES - _REST) // (_NUMBER * len(spec.state) + _ID)
+    return min(asked, most_states_answered(len(spec.goal), len(spec.outcome)))
+
+
+def most_active(states: int, goals: int) -> int:
+    """Active samples of a model that fits into one answer, for d = `states` and p = `goals`."""
+    recent = MOST_RECENT * (states + 1)  # trials that tell how likely a success is
+    once = _REST + _NUMBER * (2 * states + 4 * goals + recent)  # the settings
+    return (MAX_MESSAGE_BYTES - once) // (_NUMBER * (states + goals + 1) + _ID)
+
+
+def check_model_fits(spec: TaskSpec) -> None:
+    """Raises `Invalid` for a budget whose model no message could carry to a mirror."""
+    states, goals = len(spec.state), len(spec.goal)
+    most = most_active(states, goals)
+    if spec.budget > most:
+        raise Invalid(
+            f"budget must be at most {most} with {states} states and {goals} goals, so that the model fits into a "
+            f"message of {MAX_MESSAGE_BYTES} bytes; got {spec.budget}",
+            details={"field": "budget", "most": most},
+        )

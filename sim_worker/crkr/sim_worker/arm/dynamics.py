@@ -1,4 +1,4 @@
-"""Kinematics and dynamics of the arm, by Pinocchio on the same scene that MuJoCo simulates."""
+"""Kinematics, dynamics and control of the arm, by Pinocchio on the same scene that MuJoCo simulates."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ import numpy as np
 import pinocchio
 
 from crkr.protocol import Array
+from crkr.sim_worker.primitives.joint_motion import JointTrajectory
 
-__all__ = ["ACCELERATION_LIMITS", "SPEED_LIMITS", "Arm", "ToolPose", "Unreachable"]
+__all__ = ["ACCELERATION_LIMITS", "SPEED_LIMITS", "Arm", "Gains", "ToolPose", "Unreachable", "tracking_controls"]
 
 # Universal Robots UR10e data sheet: 120 degrees/s for base and shoulder, 180 for the rest.
 SPEED_LIMITS = np.deg2rad([120.0, 120.0, 180.0, 180.0, 180.0, 180.0])
@@ -134,3 +135,45 @@ def _tangents(normal: Array) -> tuple[Array, Array]:
 def _skew(vector: Array) -> Array:
     x, y, z = vector
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+class Gains(NamedTuple):
+    """Feedback gains of the actuators.
+
+    Attributes:
+        stiffness: (6,) [N m/rad].
+        damping: (6,) [N m s/rad].
+    """
+
+    stiffness: Array
+    damping: Array
+
+    @classmethod
+    def of(cls, model: Any) -> Gains:
+        """The gains of a compiled MuJoCo model."""
+        return cls(-np.array(model.actuator_biasprm[:, 1]), -np.array(model.actuator_biasprm[:, 2]))
+
+
+def tracking_controls(arm: Arm, gains: Gains, swing: JointTrajectory, times: Array) -> Array:
+    """Actuator controls (n, 6) [N m] at `times` (n,) [s] from the swing's start.
+
+    Feedback around the swing plus its inverse dynamics, fed forward; actuators.xml has the control law.
+    """
+    position, velocity, _ = swing.sample(times)
+    return np.asarray(gains.stiffness * position + gains.damping * velocity + _feed_forward(arm, swing, times))
+
+
+def _feed_forward(arm: Arm, swing: JointTrajectory, times: Array) -> Array:
+    """Inverse dynamics (n, 6), exact at both ends of each interval of constant acceleration and linear within."""
+    last = len(swing.time) - 1
+    at = np.minimum(np.searchsorted(swing.time, times, side="right") - 1, last - 1)
+    reached = int(at.max()) + 1  # a swing is seldom followed to its end
+    begin, end = np.empty((reached, 6)), np.empty((reached, 6))
+    for knot, acceleration in enumerate(swing.acceleration[:reached]):
+        begin[knot] = arm.torques(swing.position[knot], swing.velocity[knot], acceleration)
+        end[knot] = arm.torques(swing.position[knot + 1], swing.velocity[knot + 1], acceleration)
+    still = np.zeros(6)
+    rest = arm.torques(swing.position[-1], still, still)
+    part = ((times - swing.time[at]) / (swing.time[at + 1] - swing.time[at]))[:, None]
+    moving = (times < swing.time[-1])[:, None]
+    return np.where(moving, begin[at] + part * (end[at] - begin[at]), rest)

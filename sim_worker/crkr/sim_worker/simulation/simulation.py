@@ -4,19 +4,23 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from typing import Any, NamedTuple, final
+from importlib.resources import files
+from importlib.resources.abc import Traversable
+from posixpath import normpath
+from typing import Any, Final, NamedTuple, final
+from xml.etree import ElementTree as ET
 
 import numpy as np
 from numpy.typing import NDArray
 
 from crkr.protocol import Array
-from crkr.sim_worker.arm.tracking import Gains
+from crkr.sim_worker.arm.dynamics import Gains
 from crkr.sim_worker.simulation.engine import Rollout, mujoco
-from crkr.sim_worker.simulation.scene_file import scene_xml
 from crkr.sim_worker.skill import Geom
 
-__all__ = ["BallAlone", "Diverged", "Recording", "Simulation", "check_sound", "load_spec", "rotated"]
+__all__ = ["BallAlone", "Diverged", "Recording", "Simulation", "check_sound", "load_spec", "rotated", "scene_xml"]
 
+PACKAGE: Final = "crkr.sim_worker"
 JOINTS = 6
 # A full physics state: time, arm and ball positions (6, then 3 + quaternion), arm and ball velocities (6, then 3 + 3).
 ARM_POSITION, BALL_POSITION, BALL_ROTATION = slice(1, 7), slice(7, 10), slice(10, 14)
@@ -222,6 +226,25 @@ def check_sound(data: Any, last: Array) -> None:
 def load_spec(folder: str) -> Any:
     """The scene in a folder of this package, as an editable MuJoCo specification."""
     return mujoco.MjSpec.from_string(scene_xml(folder))
+
+
+def scene_xml(folder: str) -> str:
+    """The text of `scene.xml` in a folder of this package, e.g. "table_tennis", complete in itself.
+
+    Paths of included files are relative to that folder, as MuJoCo has it; Pinocchio would ignore the includes.
+    """
+    root = files(PACKAGE)
+    return ET.tostring(_complete(root, folder, "scene.xml"), encoding="unicode")
+
+
+def _complete(root: Traversable, folder: str, name: str) -> ET.Element:
+    text = root.joinpath(*normpath(f"{folder}/{name}").split("/")).read_text(encoding="utf-8")
+    element = ET.fromstring(text)
+    for parent in list(element.iter()):
+        for place, child in reversed(list(enumerate(parent))):
+            if child.tag == "include":
+                parent[place : place + 1] = list(_complete(root, folder, child.attrib["file"]))
+    return element
 
 
 def _triple(values: Array) -> tuple[float, float, float]:

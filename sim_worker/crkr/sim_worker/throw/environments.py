@@ -1,4 +1,4 @@
-"""How a throw is executed: in contact simulation, or by formulas.
+"""The scene of the throw, and how a throw is executed in it: in contact simulation, or by formulas.
 
 Both give a `Flight`. "contact": the arm tracks its swing in MuJoCo with the ball in its gripper, lets go between two
 steps, and ball, wall, bin and floor touch. "analytic": the arm follows its swing perfectly, the ball leaves with the
@@ -13,8 +13,8 @@ from typing import Final, Protocol, final
 import numpy as np
 
 from crkr.protocol import Array
-from crkr.sim_worker.arm import tracking
-from crkr.sim_worker.arm.dynamics import Arm
+from crkr.sim_worker.arm.collision import CollisionCheck, own_pairs
+from crkr.sim_worker.arm.dynamics import Arm, tracking_controls
 from crkr.sim_worker.primitives.joint_motion import JointTrajectory
 from crkr.sim_worker.simulation.flight import GRAVITY, STEP, Ball
 from crkr.sim_worker.simulation.motion import Motion
@@ -24,20 +24,54 @@ from crkr.sim_worker.simulation.simulation import (
     BALL_ROTATION,
     BALL_SPIN,
     BALL_VELOCITY,
+    BallAlone,
     Simulation,
+    load_spec,
     rotated,
+    scene_xml,
 )
 from crkr.sim_worker.throw.layouts import AIR, BALL_RADIUS, OPENING, RIM, Layout
 from crkr.sim_worker.throw.outcome import Passage
-from crkr.sim_worker.throw.scene import make_ball_alone
 
-__all__ = ["ENVIRONMENTS", "Environment", "Flight", "make_environment"]
+__all__ = [
+    "ENVIRONMENTS",
+    "Environment",
+    "Flight",
+    "make_arm",
+    "make_check",
+    "make_environment",
+    "make_simulation",
+]
 
 ENVIRONMENTS: Final = ("contact", "analytic")
+FOLDER: Final = "throw"
+TOOL: Final = ("gripper", "finger_1", "finger_2")
+# The wall is out of reach. Upper arm and shoulder never come near the floor before the forearm does.
+FLOOR: Final = tuple((part, "floor") for part in ("forearm", "wrist_1", "wrist_2", "wrist_3", "gripper"))
 FOLLOW: Final = 0.04  # how long arm and ball are simulated together after the release [s]
 FREE: Final = 0.12  # how near to the wall, or to the height of the rim, the free ball is followed by formula [m]
 CHUNK: Final = 0.05  # [s]
 LONGEST: Final = 3.0  # of a flight [s]
+
+
+def make_arm() -> Arm:
+    """The arm with its gripper; the tool's position is the middle of a ball that it holds."""
+    return Arm(scene_xml(FOLDER), "grip")
+
+
+def make_simulation() -> Simulation:
+    """The whole scene, simulated."""
+    return Simulation(load_spec(FOLDER), "touch_gripper")
+
+
+def make_ball_alone() -> BallAlone:
+    """The scene without the arm, simulated."""
+    return BallAlone(load_spec(FOLDER))
+
+
+def make_check(arm: Arm) -> CollisionCheck:
+    """Measures the arm's distance to the floor, its pedestal and itself."""
+    return CollisionCheck(arm, (*FLOOR, *own_pairs(*TOOL)))
 
 
 @final
@@ -102,7 +136,7 @@ class ContactEnvironment:
             scene.place("bin", layout.bin)
         held = int(np.ceil(release / step))
         times = release + step * np.arange(-held, round(FOLLOW / step), dtype=np.float64)  # lets go between two
-        controls = tracking.controls(self._arm, simulation.gains, swing, times)
+        controls = tracking_controls(self._arm, simulation.gains, swing, times)
         simulation.activate("grip", on=True)
         carried = simulation.run(simulation.start_held(swing.position[0], "grip"), controls[:held]).states
         simulation.activate("grip", on=False)

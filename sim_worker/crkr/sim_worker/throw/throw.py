@@ -17,11 +17,17 @@ from crkr.sim_worker.simulation.flight import Ball
 from crkr.sim_worker.simulation.motion import INTERVAL, trace
 from crkr.sim_worker.simulation.simulation import Diverged
 from crkr.sim_worker.skill import Film, SkillOptions, TrialResult
-from crkr.sim_worker.throw.environments import ENVIRONMENTS, Flight, make_environment
+from crkr.sim_worker.throw.environments import (
+    ENVIRONMENTS,
+    Flight,
+    make_arm,
+    make_check,
+    make_environment,
+    make_simulation,
+)
 from crkr.sim_worker.throw.layouts import LAUNCHERS, Layout
 from crkr.sim_worker.throw.outcome import Passage, reason_of
 from crkr.sim_worker.throw.planner import HOME, Planner, full_goal
-from crkr.sim_worker.throw.scene import make_arm, make_check, make_simulation
 from crkr.sim_worker.throw.spec import task_spec
 
 __all__ = ["Throw"]

@@ -28,9 +28,8 @@ from crkr.sim_worker.table_tennis.ball.constants import (
     TABLE_RESTITUTION,
 )
 from crkr.sim_worker.table_tennis.ball.flight import Ball, bounce, flight
-from crkr.sim_worker.table_tennis.environments.arm_alone import ArmAlone
 from crkr.sim_worker.table_tennis.planner import HOME
-from crkr.sim_worker.table_tennis.scene import load_scene, make_ball_alone, make_simulation
+from crkr.sim_worker.table_tennis.scene import ArmAlone, load_scene, make_ball_alone, make_simulation
 
 UP = np.array([0.0, 0.0, 1.0])
 PHASES = np.linspace(0.0, 1.0, 20, endpoint=False)  # of a time step at which the contact begins

@@ -7,8 +7,7 @@ from typing import final
 import numpy as np
 
 from crkr.protocol import Array
-from crkr.sim_worker.arm import tracking
-from crkr.sim_worker.arm.dynamics import Arm
+from crkr.sim_worker.arm.dynamics import Arm, tracking_controls
 from crkr.sim_worker.primitives.joint_motion import JointTrajectory
 from crkr.sim_worker.simulation.simulation import (
     ARM_POSITION,
@@ -49,7 +48,7 @@ class ContactEnvironment:
         steps = int(np.ceil((hit_time + FOLLOW) / step))
         extra = int(PARTING / step)
         times = np.arange(steps + MOST_PARTINGS * extra, dtype=np.float64) * step
-        controls = tracking.controls(self._arm, self._simulation.gains, swing, times)
+        controls = tracking_controls(self._arm, self._simulation.gains, swing, times)
         record = self._simulation.run(self._simulation.start(swing.position[0], ball), controls[:steps])
         for _ in range(MOST_PARTINGS):
             if not record.touching[-1]:

@@ -14,17 +14,15 @@ from typing import Final, final
 import numpy as np
 
 from crkr.protocol import Array
-from crkr.sim_worker.arm import tracking
-from crkr.sim_worker.arm.dynamics import Arm
+from crkr.sim_worker.arm.dynamics import Arm, tracking_controls
 from crkr.sim_worker.primitives.joint_motion import JointTrajectory
 from crkr.sim_worker.simulation.simulation import Simulation
 from crkr.sim_worker.table_tennis.ball.incoming import FreeBall, Incoming
 from crkr.sim_worker.table_tennis.ball.strike import FaceMotion, played
-from crkr.sim_worker.table_tennis.environments.arm_alone import ArmAlone
 from crkr.sim_worker.table_tennis.environments.contact import ContactEnvironment
 from crkr.sim_worker.table_tennis.environments.play import FOLLOW, Environment, Play
 from crkr.sim_worker.table_tennis.planner import Predictor
-from crkr.sim_worker.table_tennis.scene import make_ball_alone
+from crkr.sim_worker.table_tennis.scene import ArmAlone, make_ball_alone
 
 __all__ = ["ENVIRONMENTS", "AnalyticEnvironment", "HybridEnvironment", "make_environment", "make_predictor"]
 
@@ -49,7 +47,7 @@ class HybridEnvironment:
         """
         step = self._alone.timestep
         times = np.arange(int(np.ceil((hit_time + FOLLOW) / step)) + 1, dtype=np.float64) * step
-        controls = tracking.controls(self._arm, self._alone.gains, swing, times[:-1])
+        controls = tracking_controls(self._arm, self._alone.gains, swing, times[:-1])
         record = self._alone.run(swing.position[0], controls)
         face = FaceMotion(times, record.joints, record.speeds, record.centres, record.normals)
         return played(self._arm, Incoming(ball, float(times[-1]), magnus=self._magnus), face, hit_time)

@@ -23,7 +23,7 @@ from crkr.protocol import (
     pack,
     random_ids,
 )
-from crkr.protocol.messages.sizes import MOST_RECENT
+from crkr.protocol.specification.limits import MOST_RECENT
 
 
 def spec(states: int, goals: int) -> TaskSpec:

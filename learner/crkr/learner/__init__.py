@@ -1,7 +1,7 @@
 """Cost-regularized Kernel Regression over an active set that Adaptive Non-Maximal Suppression picks.
 
-`Learner` is the whole; `Regression`, `Anms` and the functions are its parts, for those who want one of them. Keys in
-brackets in the docstrings are those of docs/references.md.
+`Learner` combines all parts; `Regression`, `Anms` and the functions can be used alone. Keys in brackets in docstrings
+refer to docs/references.md.
 """
 
 from __future__ import annotations

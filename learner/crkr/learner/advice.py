@@ -1,7 +1,6 @@
-"""What keeps a task from learning, by rules over its newest trials, and what to do about it.
+"""Advice on what keeps a task from learning, by rules over its newest trials.
 
-Every rule looks at the log's trials only, so that a restarted server gives the same advice. A rule that has not seen
-enough trials is silent.
+The rules use logged trials only, so a restarted server gives the same advice. A rule needs a minimum of trials.
 """
 
 from __future__ import annotations
@@ -19,15 +18,15 @@ from crkr.protocol import MOST_KEPT, Array, TaskSpec
 
 __all__ = ["ADVICE_CODES", "Advice", "advise"]
 
-_FEWEST: Final = 50  # trials, below which only the rules about single numbers speak
+_FEWEST: Final = 50  # trials; with fewer, only the rules about single numbers apply
 _NEARLY_ALL: Final = 0.9
 _HALF: Final = 0.5
 _SOME: Final = 0.1
-_GOOD: Final = 0.8  # success rate above which nobody needs to declare an outcome
+_GOOD: Final = 0.8  # success rate above which an outcome is not needed
 _NEAR_BOUND: Final = 0.005  # of a bound's range
-_SATURATED: Final = 0.999  # cost above which one cannot be told from another
-_CERTAIN: Final = 1e-6  # cost below which a success leaves nothing to explore
-_RECENT: Final = 1000  # log positions for which a drift is told
+_SATURATED: Final = 0.999  # costs above this are indistinguishable
+_CERTAIN: Final = 1e-6  # a success that costs less ends exploration
+_RECENT: Final = 1000  # log positions for which a drift is reported
 
 
 class Advice(NamedTuple):
@@ -46,7 +45,7 @@ class Advice(NamedTuple):
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class _Seen:
-    """What the rules look at: the task and its newest trials, executed or refused.
+    """Input of the rules: the task and its newest trials, executed or refused.
 
     Attributes:
         spec: The specification in force.
@@ -79,7 +78,7 @@ class _Seen:
 
 
 def advise(spec: TaskSpec, history: TrialHistory, drift: Drift | None, eligible: int, active: int) -> list[Advice]:
-    """What limits a task's learning, the most urgent first; [] where nothing does.
+    """What limits a task's learning, the most urgent first; [] without a limit.
 
     Args:
         spec: The specification in force.
@@ -116,7 +115,7 @@ def _no_success(seen: _Seen) -> str | None:
 
 
 def _cost_saturated(seen: _Seen) -> str | None:
-    """A cost that says nothing, where it is learned from: outcomes say more."""
+    """A cost without information, where costs are learned from."""
     guided = seen.spec.exploration.type == "outcome"
     costs = seen.costs[seen.executed]
     if len(costs) >= _FEWEST and (not guided or seen.spec.learn_from == "all"):
@@ -179,7 +178,7 @@ def _outcome_constant(seen: _Seen) -> str | None:
     highest = np.where(known, measured, -np.inf).max(axis=0, initial=-np.inf)
     lowest = np.where(known, measured, np.inf).min(axis=0, initial=np.inf)
     constant = (known.sum(axis=0) >= _FEWEST) & (highest == lowest)
-    for place, entry in enumerate(seen.spec.outcome):  # one that is always as good as wanted need not change
+    for place, entry in enumerate(seen.spec.outcome):  # an entry that always meets its target need not change
         side = {"at_least": 1.0, "at_most": -1.0}.get(entry.aim)
         if side is not None and side * (lowest[place] - entry.target) >= 0.0:
             constant[place] = False
@@ -219,7 +218,7 @@ def _drifted(seen: _Seen) -> str | None:
         return None
     times = "once" if drift.restarts == 1 else f"{drift.restarts} times"
     return (
-        f"the robot changed: outcomes were not as predicted, so the outcome model started anew {times}, last at log "
+        f"the robot changed: outcomes were not as predicted, so the outcome model restarted {times}, last at log "
         f"position {drift.last_seq}; look at the robot if nobody changed it"
     )
 
@@ -248,6 +247,6 @@ ADVICE_CODES: Final = tuple(code for code, _ in _RULES)
 
 
 def _named(which: NDArray[np.bool_], names: Sequence[str]) -> str | None:
-    """Some of the names in one line; None for none of them."""
+    """Some of the names in one line; None without names."""
     chosen = [name for name, told in zip(names, which.tolist(), strict=True) if told]
     return ", ".join(chosen[:5]) + (f" and {len(chosen) - 5} more" if len(chosen) > 5 else "") if chosen else None

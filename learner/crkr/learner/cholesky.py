@@ -1,11 +1,11 @@
-"""Cholesky factors, made and used in slices that let other threads go on.
+"""Cholesky factors, computed and used in slices that let other threads run.
 
     A  (m, m)  symmetric positive definite, in Fortran order       L  (m, m)  its lower factor, A = L L'
     B  (m, c)  right-hand sides
 
-SciPy's wrappers keep the interpreter's lock until LAPACK is done, which is half a second at m = 4000; all threads of
-the process would wait. NumPy's matrix product releases the lock, and nearly all of the work is such products: what the
-wrappers still do is a panel at a time. Up to `WHOLE` rows one call is short enough, and a little faster.
+SciPy's wrappers hold the interpreter's lock during the LAPACK call, half a second at m = 4000, and block all threads of
+the process. NumPy's matrix product releases the lock, so nearly all of the work is done by such products and LAPACK
+gets one panel at a time. Up to `WHOLE` rows one call is short enough, and a little faster.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _ROWS: Final = 1024  # below a panel's corner that are solved for together
 
 
 def factor(A: Array) -> tuple[Array, int]:
-    """Lower factor of A, in its place and with zeros above; and 0, or the order of a minor that is not positive."""
+    """Overwrites A with its lower factor, zeros above; also returns 0, or the order of a minor that is not positive."""
     if len(A) <= WHOLE:
         return _corner(A)
     for start, stop in _panels(len(A)):
@@ -45,7 +45,7 @@ def factor(A: Array) -> tuple[Array, int]:
 
 
 def solve_lower(L: Array, B: Array) -> Array:
-    """L^-1 B, in Fortran order; B is used up where it is in that order."""
+    """L^-1 B, in Fortran order; overwrites B if it has that order."""
     if len(L) <= WHOLE:
         return np.asarray(blas.dtrsm(1.0, L, B, lower=1, overwrite_b=1))
     X = np.asfortranarray(B)
@@ -70,7 +70,7 @@ def solve(L: Array, B: Array) -> Array:
 
 
 def _corner(A: Array) -> tuple[Array, int]:
-    """By LAPACK, of which not every make refuses what is not a number."""
+    """By LAPACK; some implementations accept NaN."""
     L, failed = lapack.dpotrf(A, lower=1, clean=1, overwrite_a=1)
     pivots = L.diagonal()
     if not failed and not math.isfinite(pivots.sum()):

@@ -1,4 +1,4 @@
-"""What a miss costs, and from what a trial cost to how little its goal is trusted.
+"""The cost of a miss, and the noise variance that a cost gives a sample.
 
     c  (n,)  costs in [0, 1]           lambda  regularisation, the exploration-exploitation trade-off
     g        cost map                  N  (n,)  noise variances, the diagonal that regularises the kernel matrix
@@ -30,8 +30,7 @@ def saturated_cost(error: Array, length: float) -> Array | np.float64:
         length: Distance at which the cost is 0.39, and beyond which it saturates [m], > 0.
 
     Returns:
-        A cost for each error, (...); a number for one error. Some nine lengths away it is exactly 1.0, because a float
-        cannot tell the difference.
+        A cost for each error, (...); a number for one error. From about nine lengths on it rounds to 1.0.
 
     Raises:
         Invalid: The length is not a positive number, or the error is not finite.
@@ -41,7 +40,7 @@ def saturated_cost(error: Array, length: float) -> Array | np.float64:
     deviation = np.asarray(error, dtype=np.float64)
     if not np.isfinite(deviation).all():
         raise Invalid("error must be finite")
-    with np.errstate(over="ignore"):  # infinitely many lengths away is a cost of 1
+    with np.errstate(over="ignore"):  # an overflow means a cost of 1
         cost: Array | np.float64 = -np.expm1(-0.5 * np.sum((deviation / length) ** 2, axis=-1))
     return cost
 
@@ -61,8 +60,8 @@ _COST_MAPS: Final[Mapping[str, Callable[[Array], Array]]] = {"linear": _linear, 
 def noise_variances(costs: Array, regularisation: float, cost_map: str, floor: float) -> Array:
     """Noise max(lambda g(c), floor) of each sample, in squared scaled goals.
 
-    The paper's is lambda c [Cardoso2017, alg. 1]; a cost of 0 would make two near samples that disagree divide by
-    nearly nothing, hence the floor.
+    The paper's is lambda c [Cardoso2017, alg. 1]; the floor keeps two close samples of cost 0 that disagree from a
+    division by almost zero.
 
     Args:
         costs: (n,) in [0, 1].

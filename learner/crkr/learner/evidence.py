@@ -1,4 +1,4 @@
-"""Fitting the kernel to the active samples by their evidence, the marginal likelihood of their goals.
+"""Fits the kernel to the active samples by their evidence, the marginal likelihood of their goals.
 
     X      (m, d)   states about the centre             Y      (m, p)   scaled goals minus prior
     theta  (d + 1)  log length-scales, then log signal variance          Z = X / length-scales
@@ -28,9 +28,9 @@ __all__ = ["FitProblem", "FitResult", "check_fit", "fit", "log_evidence"]
 
 _LENGTHSCALE_RANGE: Final = (0.05, 20.0)  # times those of the task's creation
 _VARIANCE_RANGE: Final = (1e-3, 1e3)
-_LOG_NUMBERS: Final = (-690.0, 690.0)  # beyond, exp is no number to compute with
-_MOST: Final = 1500  # samples that a fit looks at
-_FARTHEST: Final = 1e4  # medians, or length-scales, that a sample may be from the centre
+_LOG_NUMBERS: Final = (-690.0, 690.0)  # beyond, exp overflows
+_MOST: Final = 1500  # samples in a fit
+_FARTHEST: Final = 1e4  # medians, or length-scales, from the centre to a sample
 _MAX_ITERATIONS: Final = 60
 _UNREACHABLE: Final = 1e25  # stands for an infinite objective, which L-BFGS cannot step back from
 
@@ -38,16 +38,16 @@ _UNREACHABLE: Final = 1e25  # stands for an infinite objective, which L-BFGS can
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class FitProblem:
-    """What a fit needs; plain data that may travel to another process.
+    """Input of a fit; plain data that can be sent to another process.
 
     Attributes:
         X: (m, d) states about the centre [units of the state].
         Y: (m, p) scaled goals minus their prior mean.
-        noise: (m,) lambda g(c), which the fit leaves alone.
+        noise: (m,) lambda g(c), which the fit keeps.
         noise_floor: Smallest noise, relative to the signal variance.
-        lengthscales: (d,) where to start [units of the state].
-        signal_variance: Where to start.
-        linear_weight: Weight of the kernel's linear term, which the fit leaves alone.
+        lengthscales: (d,) at the start [units of the state].
+        signal_variance: At the start.
+        linear_weight: Weight of the kernel's linear term, which the fit keeps.
         reference: (d,) length-scales of the task's creation; the fit stays within 0.05 to 20 times these.
     """
 
@@ -64,9 +64,8 @@ class FitProblem:
     def of(cls, model: Model, reference: Array) -> FitProblem:
         """The problem of fitting a model's active samples, starting from its own kernel.
 
-        Samples that are absurdly far from the others are left out: they tell nothing of length-scales, and beside them
-        the rest is lost in rounding. Of more than `_MOST`, evenly spaced ones are taken, as
-        a fit of all would take minutes.
+        Extreme outliers are left out: they carry no information on length-scales and drown the rest in rounding. More
+        than `_MOST` samples are thinned evenly, as a fit of all would take minutes.
 
         Raises:
             NoSamples: No sample is active.
@@ -111,12 +110,12 @@ class FitResult:
     after: float
 
 
-@np.errstate(over="ignore", invalid="ignore")  # told by the result
+@np.errstate(over="ignore", invalid="ignore")  # the result says so
 def log_evidence(problem: FitProblem, theta: Array) -> tuple[float, Array]:
     """Log marginal likelihood and its gradient (d + 1,) with respect to theta  [Cardoso2017, eq. 6 and 7].
 
-    Returns -inf and a zero gradient where the kernel matrix is not numerically positive definite, or numbers are so far
-    apart that evidence or gradient is none.
+    Returns -inf and a zero gradient where the kernel matrix is not numerically positive definite, or evidence or
+    gradient overflows.
     """
     lengthscales, variance = np.exp(theta[:-1]), float(np.exp(theta[-1]))
     m, p = problem.Y.shape
@@ -133,7 +132,7 @@ def log_evidence(problem: FitProblem, theta: Array) -> tuple[float, Array]:
         return -np.inf, np.zeros_like(theta)
     A, _ = lapack.dpotrs(L, problem.Y, lower=1)
     value = -0.5 * float(np.vdot(problem.Y, A)) - p * (float(np.log(L.diagonal()).sum()) + 0.5 * m * np.log(2 * np.pi))
-    inverse, _ = lapack.dpotri(L, lower=1, overwrite_c=1)  # the trace in eq. 7 needs every entry; predictions never do
+    inverse, _ = lapack.dpotri(L, lower=1, overwrite_c=1)  # only the trace in eq. 7 needs every entry
     inverse *= p
     G = A @ A.T
     G -= inverse  # the lower triangle, then the upper; both with the diagonal
@@ -153,11 +152,11 @@ def log_evidence(problem: FitProblem, theta: Array) -> tuple[float, Array]:
 
 
 def fit(problem: FitProblem) -> FitResult:
-    """Length-scales and signal variance of largest evidence nearby, by L-BFGS within bounds; lambda stays.
+    """Length-scales and signal variance that maximise the evidence locally, by L-BFGS within bounds; lambda stays.
 
     Deterministic; takes tens of factorisations of an (m, m) matrix.
     """
-    from scipy.optimize import minimize  # a server fits in another process, and does not need it
+    from scipy.optimize import minimize  # slow to import; a server fits in another process
 
     log_reference, log_variance = np.log(problem.reference), np.log(problem.signal_variance)
     low = np.append(log_reference + np.log(_LENGTHSCALE_RANGE[0]), np.log(_VARIANCE_RANGE[0]))
@@ -189,7 +188,7 @@ def fit(problem: FitProblem) -> FitResult:
 
 
 def check_fit(spec: TaskSpec, lengthscales: object, signal_variance: object) -> tuple[Array, float]:
-    """Numbers of a fit, as a task of this specification takes them; what is logged must pass first.
+    """Checks the result of a fit against a task's specification, before it is logged.
 
     Raises:
         Invalid: Numbers that are not finite and positive, or not d of them.

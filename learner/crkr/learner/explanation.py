@@ -1,4 +1,4 @@
-"""Why the model answers as it does in one state."""
+"""Explains the model's answer in one state."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ __all__ = ["explain"]
 
 _NEIGHBOURS: Final = 10
 _TRIED: Final = 20  # trials near by
-_LOOKED_AT: Final = 2000  # newest trials that these are sought among
+_LOOKED_AT: Final = 2000  # newest trials that are searched
 
 
 def explain(model: Model, history: TrialHistory, state: object, sample: SampleExplanation | None = None) -> Explanation:
-    """What the goal for a state rests on, the active samples that weigh most in its mean, and its novelty.
+    """The grounds of the goal for a state, the active samples with the largest weights in its mean, and its novelty.
 
     Args:
         model: The policy asked.
         history: The task's trials.
         state: (d,) [units of the state].
-        sample: Where one more sample stands, passed on.
+        sample: Status of one more sample, passed on.
 
     Raises:
         Invalid: The state has another shape or is not finite.
@@ -51,7 +51,7 @@ def explain(model: Model, history: TrialHistory, state: object, sample: SampleEx
 
 
 def _grounds(model: Model, history: TrialHistory, state: Array) -> Grounds | None:
-    """What the goal rests on; None where no goal is given."""
+    """What the goal is based on; None without a goal."""
     try:
         answer = model.answer(state, False, [])
     except (NoSamples, NovelState):

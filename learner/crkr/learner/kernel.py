@@ -1,9 +1,9 @@
-"""The covariance of good goals over situations.
+"""The covariance of good goals between states.
 
     s  (d,)     a state, in its own units          Z  (n, d)  standardised states, z = (s - centre) / lengthscales
     k  (m,)     one row of the kernel              K  (a, b)  kernel matrix
 
-Methods take standardised states, functions say what they take.
+Methods take standardised states.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ from crkr.protocol import Array
 
 __all__ = ["Kernel", "squared_distances"]
 
-# Far beyond any sensor, and still a number whose square and products stay finite.
+# Beyond any sensor's range; squares and products stay finite.
 _FARTHEST: Final = 1e50
-_LONGEST: Final = 1e250  # length-scale that can be multiplied by it
+_LONGEST: Final = 1e250  # length-scales whose product with it is finite
 
 
 def squared_distances(A: Array, B: Array, out: Array | None = None) -> Array:
     """Squared Euclidean distances, (a, d) and (b, d) to (a, b), written into `out` where given.
 
-    Each entry is the sum over dimensions in their order, so that it has the same bits whichever rows it is computed
-    beside; the selection relies on that where distances tie.
+    Each entry sums over dimensions in order, so its bits do not depend on the other rows; the selection relies on that
+    where distances tie.
     """
     distances: Array = cdist(A, B, "sqeuclidean", out=out)
     return distances
@@ -65,7 +65,7 @@ class Kernel:
         object.__setattr__(self, "_low", -farthest)
 
     def standardise(self, states: Array) -> Array:
-        """States (..., d) in their units to the standardised ones that the other methods take; always finite."""
+        """Standardises states (..., d) for the other methods; always finite."""
         return np.minimum(np.maximum(states - self.centre, self._low), self._high) / self.lengthscales
 
     def matrix(self, A: Array, B: Array, out: Array | None = None) -> Array:

@@ -1,8 +1,8 @@
-"""The kernel matrix of the active samples, of which one learning step renews only the rows of exchanged samples.
+"""The kernel matrix of the active samples; a learning step recomputes only the rows of exchanged samples.
 
-A kernel entry has the same bits whichever entries it is computed beside, so that a matrix put together of kept and new
-rows equals one made at once, bit by bit: a model does not depend on the path that led to it. That does not hold for
-the matrix product in the linear term, with which everything is computed anew.
+A kernel entry's bits do not depend on the other entries, so a matrix of kept and new rows equals one computed at once,
+bit by bit, and a model does not depend on its history. The matrix product of a linear term lacks this property; with
+one, the whole matrix is recomputed.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from crkr.protocol import Array
 
 __all__ = ["KernelMatrix"]
 
-_SMALLEST: Final = 128  # samples; below, making all entries costs less than finding out which are kept
-_LARGEST: Final = 1024  # above, the factor takes nearly all of the time, and the memory counts
-_MOST_RUNS: Final = 5  # that are copied block by block
+_SMALLEST: Final = 128  # samples; with fewer, a full matrix costs less than the search for kept rows
+_LARGEST: Final = 1024  # above, the factor takes nearly all of the time, and memory matters
+_MOST_RUNS: Final = 5  # rows copied block by block
 
 
 @final
 class KernelMatrix:
-    """Keeps the last matrix that was asked for, and nothing else: 8 m^2 bytes."""
+    """Keeps the last matrix: 8 m^2 bytes."""
 
     def __init__(self) -> None:
         self._kernel: Kernel | None = None
@@ -32,11 +32,11 @@ class KernelMatrix:
         self._K: Array = np.empty((0, 0))
 
     def of(self, rows: Indices, kernel: Kernel, Z: Array) -> Array:
-        """Kernel matrix (m, m) of samples, the caller's to overwrite; symmetric, and in C order.
+        """Kernel matrix (m, m) of samples, symmetric and in C order; the caller may overwrite it.
 
         Args:
-            rows: (m,) numbers of the samples, ascending; a number stands for the same state for good.
-            kernel: The covariance; another object is taken for another kernel.
+            rows: (m,) numbers of the samples, ascending; a number always means the same state.
+            kernel: The covariance, compared by identity.
             Z: (m, d) their standardised states.
         """
         if kernel.linear_weight or not _SMALLEST <= len(rows) <= _LARGEST:
@@ -53,7 +53,7 @@ class KernelMatrix:
     def _renewed(self, rows: Indices, kernel: Kernel, Z: Array) -> Array:
         if kernel is not self._kernel:
             return kernel.matrix(Z, Z)
-        old = np.searchsorted(self._rows, rows)  # where a kept sample was
+        old = np.searchsorted(self._rows, rows)  # previous position of a kept sample
         kept = self._rows.take(old, mode="clip") == rows
         now, old = np.flatnonzero(kept), old[kept]
         new = np.flatnonzero(~kept)

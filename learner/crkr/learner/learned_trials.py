@@ -1,4 +1,4 @@
-"""All trials of a task, which of them are learned from, and the selection and the outcome model that follow them."""
+"""All trials of a task, with the selection and the outcome model that follow them."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ __all__ = ["LearnedTrials"]
 
 @final
 class LearnedTrials:
-    """The trials as learning sees them. Arguments were checked; rows are those of the store.
+    """The trials of a learner. Arguments are checked already; rows are the store's.
 
     Args:
         spec: The task as created.
-        selector: Makes the rule that picks the active rows.
+        selector: Makes the selector of active rows.
 
     Attributes:
         store: All trials.
         selection: Which of them are active.
-        outcomes: The outcome model; None where none is modelled.
-        deferred: Only store and count; `rebuild` does the rest for all.
-        eligible: How many trials may be learned from; kept, as counting anew takes longer than a step.
+        outcomes: The outcome model; None where outcomes are not modelled.
+        deferred: Whether to store and count only; `rebuild` does the rest.
+        eligible: Number of trials that may be learned from; kept, as a recount takes longer than a step.
         since_fit: Eligible trials since hyper-parameters were fitted.
-        tried: Trials reported, refused ones too, demonstrations and judged ones aside.
+        tried: Number of trials, refused ones too, without demonstrations and evaluations.
     """
 
     def __init__(self, spec: TaskSpec, selector: SelectorFactory) -> None:
@@ -47,7 +47,7 @@ class LearnedTrials:
         self._learn_from, self._budget = spec.learn_from, spec.budget
 
     def append(self, seqs: Sequence[int], trials: Sequence[Trial]) -> bool:
-        """Stores trials; tells whether one is a demonstration, on which the prior mean rests.
+        """Stores trials; returns whether one is a demonstration, which the prior mean depends on.
 
         Raises:
             Conflict: An id that is stored already, or comes twice.
@@ -78,7 +78,7 @@ class LearnedTrials:
         self._count(len(self._eligible_of(rows)), self.store.count_tried(rows))
 
     def recost(self, rows: Sequence[int], costs: Sequence[float]) -> list[int]:
-        """Changes the costs of rows; gives those whose cost differs from before."""
+        """Changes the costs of rows; returns those whose cost changed."""
         changed = [(row, cost) for row, cost in zip(rows, costs, strict=True) if self.store.costs[row] != cost]
         for row, cost in changed:
             self.store.recost(row, cost)
@@ -87,7 +87,7 @@ class LearnedTrials:
         return [row for row, _ in changed]
 
     def remove(self, rows: Sequence[int]) -> bool:
-        """Takes rows that are still in out of learning; tells whether one is a demonstration."""
+        """Removes rows from learning; returns whether one is a demonstration."""
         indices = np.array(rows, dtype=np.int64)
         self.eligible -= len(self._eligible_of(indices))
         for row in rows:
@@ -99,7 +99,7 @@ class LearnedTrials:
         return self._demonstrated(indices)
 
     def amend(self, rows: Indices, values: Sequence[Mapping[str, Any]]) -> None:
-        """Changes what rows came to, as `SampleStore.amend` does for each."""
+        """Amends rows, as `SampleStore.amend` does for each."""
         before, tried = self._eligible_of(rows), self.store.count_tried(rows)
         for row, each in zip(rows.tolist(), values, strict=True):
             self.store.amend(row, each)
@@ -111,13 +111,13 @@ class LearnedTrials:
         if np.isin(now, before).all():
             self.selection.remove(np.setdiff1d(before, now).tolist())
             self.selection.recost(now.tolist())
-        else:  # some are older than others, and take their places among them
+        else:  # some may be older than the present ones
             self.selection.rebuild(self._all_eligible())
         if self.outcomes is not None:
             self.outcomes.rebuild()
 
     def configure(self, spec: TaskSpec) -> None:
-        """Follows the settings of a specification."""
+        """Applies changed settings of a specification."""
         budget, self._budget = self._budget, spec.budget
         learn_from, self._learn_from = self._learn_from, spec.learn_from
         if not self.deferred and spec.budget != budget:
@@ -134,7 +134,7 @@ class LearnedTrials:
             self.outcomes.restart(seq, rebuild=not self.deferred)
 
     def rebuild(self, cache: RadiiCache | None) -> None:
-        """Selects and models anew; radii that fit the trials make it quick."""
+        """Rebuilds selection and outcome model; matching radii make it quick."""
         self.deferred = False
         self.selection.set_budget(self._budget)
         self.selection.rebuild(self._all_eligible(), cache)
@@ -142,7 +142,7 @@ class LearnedTrials:
             self.outcomes.rebuild()
 
     def explain(self, sample: UUID) -> SampleExplanation:
-        """Where one trial stands.
+        """Status of one trial.
 
         Raises:
             Invalid: An unknown id.

@@ -1,4 +1,4 @@
-"""The learner: a deterministic function of what it was told, without I/O, threads or a clock."""
+"""The learner: a deterministic function of its events, without I/O, threads or a clock."""
 
 from __future__ import annotations
 
@@ -45,12 +45,12 @@ __all__ = ["SELECTORS", "Learner"]
 
 SELECTORS: Final[Mapping[str, SelectorFactory]] = {"anms": Anms, "full": FirstCome.full, "freeze": FirstCome.freeze}
 
-_FEWEST_TO_FIT: Final = 30  # active samples, below which the evidence says little about length-scales
+_FEWEST_TO_FIT: Final = 30  # active samples; with fewer, the evidence says little about length-scales
 
 
 @final
 class Learner:
-    """Learns one task from trials; what it knows is a function of the events it was given, in their order.
+    """Learns one task from trials; its state is a function of the ordered events.
 
     `report`, `recost`, `remove`, `configure` and `refit` give each event the next log position. A program with a log of
     its own calls the `apply_...` methods with its positions instead; both give the same learner. A call that raises
@@ -61,7 +61,7 @@ class Learner:
         selector: Makes another selector than the one the task names.
 
     Raises:
-        Unsupported: The task asks for something that is not built here.
+        Unsupported: The task asks for something that is not available.
 
     Attributes:
         spec: The specification in force: the one of creation with the changes since.
@@ -82,7 +82,7 @@ class Learner:
 
     @property
     def model(self) -> Model:
-        """The present policy, an immutable snapshot that other threads may use."""
+        """The current policy, an immutable snapshot that other threads may use."""
         return self._builder.model
 
     @property
@@ -92,27 +92,27 @@ class Learner:
 
     @property
     def history(self) -> TrialHistory:
-        """All trials up to now; other threads may read them."""
+        """All trials so far; other threads may read them."""
         return self._trials.store.history()
 
     @property
     def advice(self) -> list[Advice]:
-        """What limits learning, and what to do about it; [] where nothing does."""
+        """What limits learning, and what to do about it; [] without a limit."""
         return advise(self.spec, self.history, self.drift, self.eligible, self.model.active)
 
     @property
     def eligible(self) -> int:
-        """How many trials may be learned from."""
+        """Number of trials that may be learned from."""
         return self._trials.eligible
 
     @property
     def counts(self) -> dict[str, int]:
-        """How many trials of each kind are stored."""
+        """Number of stored trials by kind."""
         return self._trials.store.counts()
 
     @property
     def drift(self) -> Drift | None:
-        """How far outcomes are from what was expected of them; None where no outcome is modelled."""
+        """How far outcomes are from their predictions; None where outcomes are not modelled."""
         return None if self._trials.outcomes is None else self._trials.outcomes.drift
 
     @property
@@ -126,8 +126,8 @@ class Learner:
     ) -> Prediction:
         """Goals for one state (d,) or many (b, d); see `Model.predict`.
 
-        Absent trial ids are derived from the task's name, the version and how often this learner was asked, so that a
-        program that repeats its calls gets the same ids.
+        Missing trial ids are derived from the task's name, the version and the number of calls, so that a repeated
+        program gets the same ids.
         """
         if trial_ids is None:
             checked = check_states(states, len(self.spec.state))
@@ -143,7 +143,7 @@ class Learner:
 
         Args:
             answer: The prediction that was tried; or give `state` and `goal`.
-            trial: What was done and how it went, see `TrialFields`.
+            trial: What was tried and its result, see `TrialFields`.
 
         Raises:
             Invalid: A value that is not allowed.
@@ -172,7 +172,7 @@ class Learner:
         return self.apply_recost(self.version + 1, ids, costs)
 
     def remove(self, ids: Sequence[UUID | bytes]) -> int:
-        """Takes trials out of learning for good; see `apply_remove`."""
+        """Removes trials from learning; see `apply_remove`."""
         return self.apply_remove(self.version + 1, ids)
 
     def configure(self, changes: Mapping[str, Any]) -> TaskSpec:
@@ -191,7 +191,7 @@ class Learner:
         return result
 
     def begin_fit(self) -> FitProblem:
-        """What `fit` needs, as plain data that another process can work on; counts as the fit that was due.
+        """The input of `fit`, as plain data for another process; counts as the fit that was due.
 
         Raises:
             NoSamples: No sample is active.
@@ -201,7 +201,7 @@ class Learner:
         return problem
 
     def explain(self, state: object, sample_id: UUID | bytes | None = None) -> Explanation:
-        """The samples behind the mean at a state (d,), and where one sample stands.
+        """The samples behind the mean at a state (d,), and the status of one sample.
 
         Raises:
             Invalid: The state has another shape or is not finite; an unknown sample id.
@@ -223,7 +223,7 @@ class Learner:
         self._advance(seqs[-1], changed=self._trials.append(seqs, trials))
 
     def apply_columns(self, columns: TrialColumns) -> None:
-        """Applies many trials within `bulk`, ten times quicker than `apply_trials`.
+        """Applies many trials within `bulk`, ten times faster than `apply_trials`.
 
         Raises:
             Invalid: Positions that do not ascend from the version on; outside of `bulk`.
@@ -239,7 +239,7 @@ class Learner:
         self.version = int(columns.seqs[-1])
 
     def apply_recost(self, seq: int, ids: Sequence[UUID | bytes], costs: object) -> int:
-        """Applies new costs of trials at log position `seq`; returns how many differ from before.
+        """Applies new costs of trials at log position `seq`; returns how many changed.
 
         Raises:
             Invalid: An unknown or repeated id, a cost outside [0, 1], not one cost an id.
@@ -251,7 +251,7 @@ class Learner:
         return len(changed)
 
     def apply_remove(self, seq: int, ids: Sequence[UUID | bytes]) -> int:
-        """Takes trials out of learning for good at log position `seq`; returns how many were still in.
+        """Removes trials from learning at log position `seq`; returns how many were not removed before.
 
         Raises:
             Invalid: An unknown or repeated id.
@@ -261,9 +261,9 @@ class Learner:
         return len(rows)
 
     def apply_amend(self, seq: int, ids: Sequence[UUID | bytes], values: Sequence[Mapping[str, Any]]) -> int:
-        """Applies other values of trials at log position `seq`; returns how many trials there are.
+        """Amends trials at log position `seq`; returns their number.
 
-        `values` hold for each trial its `cost`, `success`, `learn`, `kind`, `outcome` and `removed` from now on.
+        `values` has each trial's new `cost`, `success`, `learn`, `kind`, `outcome` and `removed`.
 
         Raises:
             Invalid: An unknown or repeated id.
@@ -274,7 +274,7 @@ class Learner:
         return len(rows)
 
     def apply_configure(self, seq: int, changes: Mapping[str, Any]) -> TaskSpec:
-        """Applies new settings at log position `seq`; fitted numbers stay unless given. The specification in force.
+        """Applies new settings at log position `seq`; fitted numbers stay unless given. Returns the specification.
 
         Raises:
             Invalid: A field that may not change, or a bad value; see `TaskSpec.with_changes`.
@@ -288,7 +288,7 @@ class Learner:
         return spec
 
     def apply_rename(self, seq: int, name: str) -> None:
-        """Applies another name of the task at log position `seq`, which changes nothing else."""
+        """Renames the task at log position `seq`; changes nothing else."""
         self._check_seqs([seq], 1)
         self.spec = replace(self.spec, name=name)
         self._advance(seq)
@@ -306,18 +306,18 @@ class Learner:
         self._advance(seq, changed=True)
 
     def apply_restart(self, seq: int) -> None:
-        """Restarts the outcome model at log position `seq` from the newest trials: the robot has changed."""
+        """Restarts the outcome model from the newest trials at log position `seq`, after a change of the robot."""
         self._check_seqs([seq], 1)
         self._trials.restart(seq)
         self._advance(seq)
 
     @contextmanager
     def bulk(self, cache: RadiiCache | None = None) -> Iterator[None]:
-        """A block in which events are only taken note of; the active set and the model are made once, at its end.
+        """Context in which events are only recorded; the active set and the model are computed once, at its end.
 
         Args:
-            cache: Radii at the log position where the block ends; without them they are searched for, in about
-                n log n. Ones of another position are ignored.
+            cache: Radii at the log position where the block ends; without them, computing them takes about n log n.
+                Radii of another position are ignored.
         """
         self._trials.deferred = True
         try:
@@ -327,11 +327,11 @@ class Learner:
             self._advance(self.version, changed=True)
 
     def radii(self) -> RadiiCache | None:
-        """What makes the next `bulk` quick, where the selector has such a thing."""
+        """The cache that makes the next `bulk` quick, if the selector has one."""
         return self._trials.selection.cache(self.version)
 
     def _advance(self, seq: int, *, changed: bool = False) -> None:
-        """Takes a log position for done, and makes its model."""
+        """Completes a log position and makes its model."""
         self.version = seq
         if not self._trials.deferred:
             self._builder.update(self.spec, seq, changed=changed)

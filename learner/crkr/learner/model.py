@@ -1,4 +1,4 @@
-"""The policy at one moment: an immutable snapshot that answers while learning prepares the next."""
+"""The policy at one moment: an immutable snapshot that answers while learning makes the next one."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from crkr.protocol.codec import array_from_wire
 
 __all__ = ["Model"]
 
-_UNLIKE: Final = 0.99  # novelty of a state that is like no sample
+_UNLIKE: Final = 0.99  # novelty of a state far from all samples
 
 
 @final
@@ -38,8 +38,8 @@ class Model:
         costs: (m,) their costs.
         regression: Posterior of the scaled goals; None while there is no active sample.
         explorer: Chooses the goals.
-        tried: How many trials were reported, successes or not.
-        rate: Tells P(success) where the explorer does not; None: no trial was reported yet.
+        tried: Number of reported trials, successes or not.
+        rate: P(success) where the explorer has none; None: no trial was reported yet.
     """
 
     version: int
@@ -68,7 +68,7 @@ class Model:
         tried: int = 0,
         rate: SuccessRate | None = None,
     ) -> Model:
-        """Fits the regression to these samples, O(m^3); `previous` may save most of it where samples were only added.
+        """Fits the regression to these samples, O(m^3); `previous` saves most of it if samples were only added.
 
         The arrays become read-only. Without an explorer the model explores as the paper does. For `matrix` see
         `Regression.fit`.
@@ -85,12 +85,12 @@ class Model:
         return cls(version, parameters, tuple(ids), states, goals, costs, regression, explorer, tried, rate)
 
     def at_version(self, version: int, explorer: Explorer, tried: int, rate: SuccessRate | None) -> Model:
-        """The same regression after events that did not change it."""
+        """The same regression at a later version."""
         return replace(self, version=version, explorer=explorer, tried=tried, rate=rate)
 
     @property
     def active(self) -> int:
-        """How many samples are active."""
+        """Number of active samples."""
         return len(self.ids)
 
     def predict(
@@ -106,13 +106,14 @@ class Model:
         Args:
             states: (d,) or (b, d) [units of the state].
             explore: Draw goals to try.
-            trial_ids: One a state; required to explore.
+            trial_ids: One for each state; required to explore.
 
         Returns:
             Goals (p,) or (b, p) [units of the goal], novelty () or (b,), and the ids as given.
 
         Raises:
-            Invalid: States of another shape or not finite; ids missing, not 16 bytes, repeated, or not one a state.
+            Invalid: States of another shape or not finite; ids missing, not 16 bytes, repeated, or not one for each
+                state.
             NoSamples: No sample is active.
             NovelState: A state is more novel than the task allows.
         """
@@ -121,7 +122,7 @@ class Model:
         return self.answer(checked, explore, _checked_ids(trial_ids, count, explore))
 
     def answer(self, states: Array, explore: bool, ids: list[UUID]) -> Prediction:
-        """The same as `predict`, for states (d,) or (b, d) and ids that were checked before."""
+        """`predict` for states (d,) or (b, d) and ids that are checked already."""
         regression, own = self.regression, self.parameters
         z = own.kernel.standardise(states)
         if regression is None:
@@ -151,7 +152,7 @@ class Model:
             goals, corrected, outcome, deviation, chance = self.explorer.best(states, means, sigmas)
         if chance is None:
             chance = np.full(z.shape[:-1], np.nan) if self.rate is None else self.rate.at(z)
-        if unlike > _UNLIKE:  # what was learned elsewhere says nothing there
+        if unlike > _UNLIKE:  # samples elsewhere carry no information here
             chance = np.where(novelty > _UNLIKE, np.nan, chance)
         for array in (goals, means, sigmas, novelty, corrected, outcome, deviation, chance):
             if array is not None:
@@ -165,10 +166,10 @@ class Model:
         )  # fmt: skip
 
     def _prior(self, states: Array, explore: bool) -> tuple[Array, Array, Array]:
-        """Means, sigmas and novelties while no sample is active: outcomes alone guide, or space is filled.
+        """Means, sigmas and novelties without an active sample: guided by outcomes alone, or filling space.
 
         Raises:
-            NoSamples: Nothing is known yet, and nothing is to be explored.
+            NoSamples: Nothing is known yet, and no exploration was asked for.
         """
         own, guides = self.parameters, self.explorer.guides
         if not guides and (own.start.type == "demonstrations" or not explore):
@@ -185,7 +186,7 @@ class Model:
 
     @classmethod
     def from_wire(cls, message: Mapping[str, Any]) -> Model:
-        """Rebuilds a model from what `to_wire` gave, before or after a trip over the network; it answers alike.
+        """Rebuilds a model from `to_wire`, which gives the same answers.
 
         Raises:
             Invalid: A field is missing or has another form.
@@ -225,7 +226,7 @@ def _checked_ids(given: Sequence[UUID | bytes] | UUID | bytes | None, count: int
         return []
     listed = [given] if isinstance(given, UUID | bytes) else list(given)
     ids = [id_from_wire(value, "trial_ids") for value in listed]
-    if len(ids) != count or len({one.int for one in ids}) != count:  # a UUID's own hash takes twice as long
+    if len(ids) != count or len({one.int for one in ids}) != count:  # hashing UUIDs takes twice as long
         raise Invalid(f"trial_ids must be {count} different ids, one a state; got {len(ids)}")
     return ids
 

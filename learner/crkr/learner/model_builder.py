@@ -1,4 +1,4 @@
-"""Makes the model of each version from the active rows of a store, and reuses what did not change."""
+"""Makes the model of each version from the active rows of a store; reuses unchanged parts."""
 
 from __future__ import annotations
 
@@ -47,22 +47,22 @@ class ModelBuilder:
         self.model = self._fitted(1, None)
 
     def holds(self, row: int) -> bool:
-        """Whether the newest model rests on a row."""
+        """Whether the newest model uses a row."""
         return row in self._ids
 
     def set_kernel(self, spec: TaskSpec, lengthscales: Array, variance: float) -> None:
-        """Changes the covariance of the models to come."""
+        """Changes the covariance of later models."""
         self.kernel = Kernel(self.kernel.centre, lengthscales, variance, spec.kernel.linear_weight)
 
     def configure(self, spec: TaskSpec, changes: Mapping[str, Any]) -> None:
-        """Follows changed settings; numbers that were fitted stay unless they are given."""
+        """Applies changed settings; fitted numbers stay unless given."""
         if "kernel" in changes:
             given = "signal_variance" in changes["kernel"]
             variance = spec.kernel.signal_variance if given else self.kernel.signal_variance
             self.set_kernel(spec, self.kernel.lengthscales, variance)
 
     def update(self, spec: TaskSpec, version: int, *, changed: bool) -> None:
-        """Makes the model of a version; anew only where its samples or settings changed.
+        """Makes the model of a version; recomputes it only if samples or settings changed.
 
         Args:
             spec: The specification in force.
@@ -101,7 +101,7 @@ class ModelBuilder:
         )
 
     def _rate(self) -> SuccessRate | None:
-        """What the newest trials say of success; nothing where outcomes say more."""
+        """The success rate of the newest trials; None where outcomes predict it."""
         if self._trials.outcomes is not None:
             return None
         history = self._store.history()

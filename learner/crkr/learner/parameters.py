@@ -1,4 +1,4 @@
-"""What turns active samples into answers: everything of a model that is not a sample."""
+"""The settings of a model: everything but its samples."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ class Parameters:
         noise_floor: Smallest noise, relative to the signal variance.
         explore_scale: Multiplies sigma.
         exploration_floor: Added to sigma^2 in scaled units.
-        novelty_limit: Novelty above which states are refused; None: none are.
-        start: What is explored before anything succeeded.
+        novelty_limit: Novelty above which states are refused; None: no limit.
+        start: Exploration before the first success.
     """
 
     task: str
@@ -101,7 +101,7 @@ class Parameters:
 
     @classmethod
     def from_wire(cls, message: Mapping[str, Any]) -> Parameters:
-        """Reads what `to_wire` wrote.
+        """Reads the result of `to_wire`.
 
         Raises:
             Invalid: A field is missing or has another form.

@@ -1,4 +1,4 @@
-"""Gaussian-process regression with a noise of its own for every sample.
+"""Gaussian-process regression with a noise variance for each sample.
 
     Z  (m, d)   standardised states          K  (m, m)  kernel matrix of Z
     Y  (m, p)   scaled goals minus prior     N  (m,)    noise variances
@@ -6,9 +6,9 @@
     W  (m, p)   weights (K + diag(N))^-1 Y
     k  (b, m)   kernel between queries and Z
 
-The factor is made once; nothing is ever inverted. Where a sample is exchanged, all is factored anew: no update of
-a factor that numpy and scipy offer earns its place up to m = 1000, where a new model takes some 12 ms. Larger budgets
-work, but a step then costs tens or hundreds of milliseconds; other threads go on meanwhile, see `cholesky`.
+Nothing is ever inverted; one factor serves all. Exchanging a sample takes a new factor: updates of a factor by numpy
+and scipy are not faster up to m = 1000, where a new model takes some 12 ms. With larger budgets a step takes tens or
+hundreds of milliseconds; other threads run meanwhile, see `cholesky`.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ from crkr.protocol.earlier_python import vecdot
 __all__ = ["KernelMaker", "Regression"]
 
 KernelMaker = Callable[[Kernel, Array], Array]
-"""Gives the kernel matrix of standardised states (m, d), symmetric, in C order and the caller's to overwrite."""
+"""Returns the kernel matrix of standardised states (m, d), symmetric and in C order; the caller may overwrite it."""
 
 _log = logging.getLogger(__name__)
 
 _LIMITS: Final = np.finfo(np.float64)
-_BLOCK: Final = 128  # queries at a time, so that their kernel rows stay in the cache
-_APPEND_FROM: Final = 512  # below this size a fresh factor costs less than the care to extend one
-_ATTEMPTS: Final = 40  # at a factor; far fewer do, as floors grow from the rounding of K to K itself in 16
+_BLOCK: Final = 128  # queries per block, so that kernel rows stay in the cache
+_APPEND_FROM: Final = 512  # below this size a new factor costs less than extending one
+_ATTEMPTS: Final = 40  # attempts at a factor; 16 raise the floor from the rounding of K to K itself
 
 
 @final
@@ -50,7 +50,7 @@ class Regression:
     Attributes:
         kernel: Covariance of the scaled goals.
         Z: (m, d) standardised states of the samples.
-        noise: (m,) noise variances, as asked for.
+        noise: (m,) noise variances, as requested.
         L: (m, m) lower Cholesky factor, in Fortran order.
         W: (m, p) weights.
         floor: Smallest noise in force; larger than noise.min() only where that did not factor.
@@ -80,17 +80,17 @@ class Regression:
             Z: (m, d) standardised states, m >= 1.
             Y: (m, p) scaled goals minus their prior mean.
             noise: (m,) noise variances, > 0.
-            previous: An earlier regression whose factor is extended if its samples lead these.
-            matrix: Gives the kernel matrix of Z for less than it costs to make; it may be asked more than once.
+            previous: An earlier regression; its factor is extended if these samples begin with its own.
+            matrix: Returns the kernel matrix of Z at a lower cost; may be called more than once.
 
         Raises:
-            Internal: The kernel matrix holds what is not a number, so that no noise makes it factor.
+            Internal: The kernel matrix contains NaN, so that no noise makes it factor.
         """
         L, floor = _extended(kernel, Z, noise, previous) or _factor(kernel, Z, noise, matrix)
         if floor > float(noise.min()):
             told = previous is not None and previous.floor > float(previous.noise.min())
             _log.log(
-                logging.DEBUG if told else logging.WARNING,  # once for the many models that follow each other
+                logging.DEBUG if told else logging.WARNING,  # once for a series of models
                 "%d samples factored only with noise floor %.1e; %.1e was asked for",
                 len(Z),
                 floor,
@@ -120,7 +120,7 @@ class Regression:
             block = slice(start, min(start + _BLOCK, len(Z)))
             k = self.kernel.matrix(Z[block], self.Z, out=rows[: block.stop - start])
             np.matmul(k, self.W, out=means[block])
-            V = solve_lower(self.L, k.T)  # (m, b), in place of k
+            V = solve_lower(self.L, k.T)  # (m, b), overwrites k
             variances[block] -= vecdot(V.T, V.T)
         return means, np.maximum(variances, 0.0), prior
 
@@ -130,11 +130,11 @@ class Regression:
 
 
 def _factor(kernel: Kernel, Z: Array, noise: Array, matrix: KernelMaker | None) -> tuple[Array, float]:
-    """Lower factor of K + diag(noise), and the noise floor it took: ten times more after every failed pivot.
+    """Lower factor of K + diag(noise), and the noise floor it needed: ten times larger after every failed pivot.
 
-    The floor is in proportion to the diagonal of K, which differs where there is a linear term: one state that is far
-    away must not drown the others. K is factored in place and made anew for another attempt, which is rare: a copy kept
-    at hand costs every model more in fresh memory than the kernel itself.
+    The floor is proportional to the diagonal of K, which varies with a linear term: one distant state must not drown
+    the others. K is factored in place and recomputed for another attempt, which is rare; a copy would cost every model
+    more in fresh memory than the kernel itself.
     """
     floor = float(noise.min())
     for _ in range(_ATTEMPTS):
@@ -146,14 +146,14 @@ def _factor(kernel: Kernel, Z: Array, noise: Array, matrix: KernelMaker | None) 
         L, failed_pivot = factor(K.T)  # K is symmetric; its transpose is in the order that LAPACK wants
         if not failed_pivot:
             break
-        floor = max(10.0 * floor, _LIMITS.eps * largest, _LIMITS.tiny)  # the last where all else rounds to nothing
+        floor = max(10.0 * floor, _LIMITS.eps * largest, _LIMITS.tiny)  # the last attempt
     else:
         raise Internal(f"the kernel matrix of {len(Z)} samples does not factor even with a noise floor of {floor:.1e}")
     return L, floor
 
 
 def _extended(kernel: Kernel, Z: Array, noise: Array, previous: Regression | None) -> tuple[Array, float] | None:
-    """The factor of `previous` with rows appended, or None where it cannot be extended."""
+    """The factor of `previous` with rows appended; None if it cannot be extended."""
     if previous is None or previous.kernel is not kernel or not _APPEND_FROM <= len(previous.Z) <= len(Z):
         return None
     n = len(previous.Z)

@@ -1,4 +1,4 @@
-"""Checks at the edge: what passes is float64, finite, of the right shape, read-only and nobody else's."""
+"""Checks of input: arrays that pass are read-only float64 copies, finite and of the right shape."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ __all__ = [
     "text",
 ]
 
-ROUNDING: Final = 1e-6  # of a range: how far outside it a value is taken as rounded, and moved to the bound
+ROUNDING: Final = 1e-6  # of a range: a value this far outside is a rounding error and becomes the bound
 SINGLE_STEP: Final = 2.0**-23  # of a number: the step from one float32 to the next
 _SHORT: Final = 64
 
 
 def refuse_masked(value: object, name: str, within: int = 2) -> None:
-    """Raises `Invalid` for a masked array, or lists with one in it: numpy would take what the mask hides."""
+    """Raises `Invalid` for a masked array, or a list that holds one: numpy would use the masked values."""
     if is_masked(value):
         raise Invalid(f"{name} is a masked array; fill its gaps with NaN, or leave them out", details={"field": name})
     if within and isinstance(value, list | tuple):
@@ -44,7 +44,7 @@ def refuse_masked(value: object, name: str, within: int = 2) -> None:
 
 
 def required(message: Mapping[str, Any], field: str) -> Any:
-    """The field's value, or `Invalid` that names it."""
+    """The field's value; raises `Invalid`, which names the field."""
     if (type(message) is dict or isinstance(message, Mapping)) and field in message:
         return message[field]
     got = "" if isinstance(message, Mapping) else f" in a map; got {type(message).__name__}"
@@ -52,7 +52,7 @@ def required(message: Mapping[str, Any], field: str) -> Any:
 
 
 def entries(message: Mapping[str, Any], field: str) -> list[Any]:
-    """The required field's value, a list; or `Invalid`."""
+    """The required field's value, a list; raises `Invalid`."""
     value = required(message, field)
     if not isinstance(value, list | tuple):
         raise Invalid(f"{field} must be a list; got {type(value).__name__}", details={"field": field})
@@ -60,7 +60,7 @@ def entries(message: Mapping[str, Any], field: str) -> list[Any]:
 
 
 def depth(value: object, name: str) -> int:
-    """How deep an array is nested, or `Invalid` where its rows differ in length."""
+    """Nesting depth of an array; raises `Invalid` where its rows differ in length."""
     try:
         return np.ndim(value)  # type: ignore[arg-type]  # whatever it is, numpy has an answer or a ValueError
     except (ValueError, RecursionError) as error:
@@ -68,7 +68,7 @@ def depth(value: object, name: str) -> int:
 
 
 def _numbers(value: object, name: str) -> Array:
-    """A float64 copy; text, truth values and complex numbers are no numbers here, None is NaN."""
+    """A float64 copy; None becomes NaN, and text, truth values and complex numbers are refused."""
     refuse_masked(value, name)
     raw = np.asarray(value)
     if raw.dtype.kind not in "iuf":
@@ -91,7 +91,7 @@ def finite_array(value: object, name: str, shape: tuple[int | None, ...], *, all
     """
     if type(value) is np.ndarray and value.shape == shape and len(shape) == 1 and value.dtype == np.float64:
         vector: Array = value.copy()
-        # By far the commonest case. A sum of floats that is finite has finite parts, and takes a fifth of numpy's time.
+        # The usual case. A finite sum has finite terms, and summing takes a fifth of numpy's time.
         if math.isfinite(sum(vector.tolist())) if len(vector) <= _SHORT else np.isfinite(vector).all():
             vector.setflags(write=False)
             return vector
@@ -124,7 +124,7 @@ def number(
     high: float = math.inf,
     above: float | None = None,
 ) -> float:
-    """A finite number in [low, high], and greater than `above` where given; or `Invalid`."""
+    """A finite number in [low, high], and greater than `above` where given; raises `Invalid`."""
     if isinstance(value, bool) or not _is_real(value):
         raise Invalid(f"{name} must be a number; got {type(value).__name__}", details={"field": name})
     try:
@@ -138,30 +138,30 @@ def number(
 
 
 def cost_number(value: object, name: str) -> float:
-    """A cost in [0, 1]; one that is outside by rounding becomes the bound. Raises `Invalid`."""
+    """A cost in [0, 1]; a rounding error outside becomes the bound. Raises `Invalid`."""
     try:
         cost = number(value, name, low=-ROUNDING, high=1.0 + ROUNDING)
     except Invalid:
-        return number(value, name, low=0.0, high=1.0)  # says what is right, not what is let pass
+        return number(value, name, low=0.0, high=1.0)  # the message names the exact range
     return min(max(cost, 0.0), 1.0) + 0.0  # stores may lose the sign of -0.0
 
 
 def integer(value: object, name: str, *, low: int = 0, high: int = 2**62) -> int:
-    """A whole number in [low, high]; or `Invalid`."""
+    """A whole number in [low, high]; raises `Invalid`."""
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or not low <= value <= high:
         raise Invalid(f"{name} must be a whole number in [{low}, {high}]; got {shown(value)}", details={"field": name})
     return int(value)
 
 
 def flag(value: object, name: str) -> bool:
-    """True or False; or `Invalid`."""
+    """True or False; raises `Invalid`."""
     if not isinstance(value, bool | np.bool_):
         raise Invalid(f"{name} must be true or false; got {shown(value)}", details={"field": name})
     return bool(value)
 
 
 def text(value: object, name: str, *, longest: int = 4096) -> str:
-    """Text of at most `longest` characters; or `Invalid`."""
+    """Text of at most `longest` characters; raises `Invalid`."""
     if not isinstance(value, str) or len(value) > longest:
         raise Invalid(
             f"{name} must be text of at most {longest} characters; got {shown(value)}", details={"field": name}
@@ -175,7 +175,7 @@ def text(value: object, name: str, *, longest: int = 4096) -> str:
 
 
 def choice(value: object, name: str, options: Collection[str]) -> str:
-    """One of the options; or `Invalid` that lists them."""
+    """One of the options; raises `Invalid`, which lists them."""
     if not isinstance(value, str) or value not in options:
         listed = ", ".join(repr(option) for option in options)
         raise Invalid(f"{name} must be one of {listed}; got {shown(value)}", details={"field": name})

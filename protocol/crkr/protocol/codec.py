@@ -44,7 +44,7 @@ Array = NDArray[np.float64]
 MAX_MESSAGE_BYTES: Final = 8 * 1024 * 1024
 MAX_STATES: Final = 4096
 MAX_TRIALS: Final = 1024
-MAX_DEPTH: Final = 64  # of maps and lists in each other; some readers recurse
+MAX_DEPTH: Final = 64  # nested maps and lists; some readers recurse
 _MAX_CONTAINERS: Final = 2**17  # maps and lists of a request, 128 for each of its trials
 _MAX_ENTRIES: Final = 2**16  # of one of them
 _SLICE: Final = 2**16  # bytes decoded at a time: a millisecond or two
@@ -90,7 +90,7 @@ def pack(message: Mapping[str, Any]) -> bytes:
     """Encodes a message; arrays become array maps, UUIDs 16 bytes.
 
     Raises:
-        Invalid: Something in it is not plain data.
+        Invalid: Not plain data.
     """
     try:
         return bytes(msgpack.packb(message, default=_default, use_bin_type=True))
@@ -99,14 +99,14 @@ def pack(message: Mapping[str, Any]) -> bytes:
 
 
 def pack_around(message: Mapping[str, Any], name: str, packed: bytes | Sequence[bytes]) -> bytes:
-    """`pack` of a message with one field more, the last, whose value (or each of whose entries) is encoded already.
+    """`pack`, with one more field at the end, whose value (or each of whose entries) is encoded already.
 
     Raises:
         Invalid: Something in the message is not plain data.
     """
     if isinstance(packed, bytes):
         return pack({**message, name: None})[:-1] + packed
-    count = len(packed)  # a nil is one byte, so that a list of them is its header and a byte for each
+    count = len(packed)  # a nil is one byte, so a list of them is its header and one byte each
     return b"".join((pack({**message, name: [None] * count})[: -count or None], *packed))
 
 
@@ -115,8 +115,7 @@ def unpack(data: bytes, depth: int | None = MAX_DEPTH) -> dict[str, Any]:
 
     Args:
         data: The message's bytes.
-        depth: How deep maps and lists may be nested; None: as deep as msgpack goes, 1024, for what was stored before
-            the limit was set.
+        depth: Deepest nesting of maps and lists; None: msgpack's own 1024, for data stored before there was a limit.
 
     Raises:
         Invalid: Too large, not msgpack, not a map, nested too deep, or keys that are not text.
@@ -133,9 +132,9 @@ def unpack(data: bytes, depth: int | None = MAX_DEPTH) -> dict[str, Any]:
 
 
 def unpack_request(data: bytes) -> dict[str, Any]:
-    """Decodes one message of a client: `unpack` for a server, whose other threads go on meanwhile.
+    """Decodes a client's message without blocking the server's other threads for long.
 
-    A large message is decoded in slices, as msgpack holds the interpreter's lock for as long as it decodes.
+    msgpack holds the interpreter's lock while it decodes, so a large message is decoded in slices.
 
     Raises:
         Invalid: As `unpack`, or too many maps and lists.
@@ -191,13 +190,13 @@ def _checked(message: object, depth: int | None) -> dict[str, Any]:
 
 
 def is_masked(value: object) -> bool:
-    """Whether it is a masked array; numpy imports what makes them only where they are used, and so does this."""
+    """Whether it is a masked array. Does not import `numpy.ma`, which few programs load."""
     kind = getattr(sys.modules.get("numpy.ma"), "MaskedArray", None)
     return kind is not None and isinstance(value, kind)
 
 
 def salvage(data: bytes) -> dict[str, Any]:
-    """Decodes what `unpack` refuses, as far as msgpack can, for people to look at; empty where it cannot."""
+    """Decodes what `unpack` refuses as far as msgpack can, for people to read; empty where it cannot."""
     try:
         found = msgpack.unpackb(data, strict_map_key=False, unicode_errors="replace")
     except (ValueError, TypeError, OverflowError, RecursionError, msgpack.UnpackException):
@@ -206,7 +205,7 @@ def salvage(data: bytes) -> dict[str, Any]:
 
 
 def check_depth(message: Mapping[str, Any], most: int = MAX_DEPTH) -> None:
-    """Raises `Invalid` where a decoded message is nested deeper, without recursion."""
+    """Raises `Invalid` for a decoded message that is nested too deep; does not recurse."""
     level: list[Any] = [message]
     for _ in range(most):
         level = [
@@ -282,7 +281,7 @@ def array_from_wire(value: object, name: str) -> Array:
     """Decodes an array map or a nested list into a fresh float64 array; null becomes NaN, a numeric array is copied.
 
     Raises:
-        Invalid: None of these forms, or sizes and bytes that disagree.
+        Invalid: Another form, or sizes and bytes that disagree.
     """
     if isinstance(value, dict):
         return array_map(value, name).astype(np.float64)
@@ -296,7 +295,7 @@ def array_from_wire(value: object, name: str) -> Array:
 
 
 def frozen_from_wire(value: object, name: str) -> Array:
-    """As `array_from_wire`, but read-only: the bytes of a message are looked at where they are, not copied."""
+    """As `array_from_wire`, but a read-only view of the message's bytes."""
     array = array_map(value, name) if type(value) is dict else array_from_wire(value, name)
     if array.dtype != np.float64:
         array = array.astype(np.float64)

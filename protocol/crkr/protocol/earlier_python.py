@@ -1,4 +1,4 @@
-"""What Python 3.11 and numpy 2 brought, for the client on Python 3.10 and numpy 1.26, as ROS 2 has them."""
+"""Features of Python 3.11 and numpy 2 for the client on Python 3.10 and numpy 1.26, which ROS 2 ships."""
 
 from __future__ import annotations
 

@@ -48,7 +48,7 @@ def shown(value: object) -> str:
     """A value in a message: at most 80 characters, however large or deep it is."""
     try:
         return f"{_REPR.repr(value):.80}"
-    except Exception:  # a repr may fail in any way, a whole number's where it has thousands of digits
+    except Exception:  # any repr may fail, e.g. that of an integer with thousands of digits
         return f"a value of type {type(value).__name__}"
 
 
@@ -128,7 +128,7 @@ class StorageError(CrkrError):
 
 @final
 class ShuttingDown(CrkrError):
-    """The server is about to leave."""
+    """The server is shutting down."""
 
     code = "SHUTTING_DOWN"
 
@@ -142,12 +142,12 @@ class Internal(CrkrError):
 
 @final
 class Unavailable(CrkrError):
-    """Nobody answered within the deadline; whether the request was executed is unknown."""
+    """No answer within the deadline; whether the request was executed is unknown."""
 
     code = "UNAVAILABLE"
 
 
-_LONGEST: Final = 4096  # characters of a message: what it quotes of a request may be as long as the request
+_LONGEST: Final = 4096  # characters of a message, which may quote a long request
 _ON_THE_WIRE: Mapping[str, type[CrkrError]] = {
     kind.code: kind
     for kind in (
@@ -179,7 +179,7 @@ def error_to_wire(error: CrkrError) -> dict[str, Any]:
 def error_from_wire(body: Mapping[str, Any]) -> CrkrError:
     """The exception for an error reply; an unknown code becomes `Internal` that names it.
 
-    Programs print its message, so it holds no control characters, whatever answered.
+    Control characters in its message are escaped, because programs print it.
     """
     code, message = str(body.get("code", "")), printable(str(body.get("message", "")))
     retry_ms, details = body.get("retry_ms"), body.get("details")

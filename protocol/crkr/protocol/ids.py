@@ -1,4 +1,4 @@
-"""Identifiers that several processes derive alike, so that a repeated message names the same thing."""
+"""Ids that every process derives in the same way, so that a repeated message names the same trial."""
 
 from __future__ import annotations
 

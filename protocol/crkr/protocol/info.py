@@ -30,10 +30,10 @@ _Path = tuple[Any, ...]
 
 
 def check_info(value: object) -> dict[str, Any]:
-    """A copy of what a program gives, as it will be read back.
+    """A copy of a program's `info`, as it will be read back.
 
     Raises:
-        Invalid: Too large, nested too deep, or with something that would not read back equal; the message says where.
+        Invalid: Too large, nested too deep, or a value that would not read back equal; the message says where.
     """
     if value is None:
         return {}
@@ -60,7 +60,7 @@ def info_from_wire(value: object) -> dict[str, Any]:
 
 
 def restored_info(value: Any) -> dict[str, Any]:
-    """What was stored, with its array maps as arrays; rows of earlier versions may hold anything that msgpack does."""
+    """Stored `info`, with arrays for its array maps; rows of earlier versions may hold anything msgpack can."""
     if not isinstance(value, dict):
         raise Invalid(f"info must be a map; got {type(value).__name__}")
     return {key: _restored(entry, 1) for key, entry in value.items()}
@@ -82,7 +82,7 @@ def _array_of(value: Mapping[Any, Any]) -> NDArray[Any] | None:
     if value.keys() != {"shape", "dtype", "data"}:
         return None
     try:
-        array = array_map(value, "info").copy()  # not to hold on to the message
+        array = array_map(value, "info").copy()  # a copy, so that the message can be freed
     except Invalid:
         return None
     array.setflags(write=False)
@@ -96,7 +96,7 @@ def _check_size(info: Mapping[str, Any]) -> None:
 
 
 def _check_message(value: Any, path: _Path, depth: int) -> None:
-    """The same rules for decoded msgpack, which holds nothing but its own types."""
+    """The same rules for decoded msgpack, which has few types."""
     kind = type(value)
     if kind is dict:
         _check_depth(path, depth)
@@ -115,7 +115,7 @@ def _check_message(value: Any, path: _Path, depth: int) -> None:
 
 
 class _Copy:
-    """Copies plain data; gives up where it becomes larger than `info` may be, however often its parts are shared."""
+    """Copies plain data; stops at the size limit of `info`, however often parts are shared."""
 
     def __init__(self) -> None:
         self._left = MAX_INFO_BYTES  # every value takes a byte or more

@@ -1,4 +1,4 @@
-"""Key expressions of protocol version 1, and the names that may stand in them.
+"""Key expressions of protocol version 1, and the names they may contain.
 
 `@v1` is written literally: Zenoh's wildcards do not match a chunk that starts with `@`.
 """
@@ -41,7 +41,7 @@ NAME: Final = re.compile(r"[a-z0-9][a-z0-9-]{0,62}")
 
 
 def check_name(name: object, what: str = "task name") -> str:
-    """Returns `name` if it may stand in a key.
+    """Returns `name` if a key may contain it.
 
     Raises:
         Invalid: It is not 1 to 63 of a-z, 0-9 and '-', starting with a letter or digit.
@@ -64,7 +64,7 @@ def task_key(task: str, verb: str) -> str:
 
 
 def admin_key(task: str, verb: str) -> str:
-    """Key of a task's administration, e.g. recost: a prefix of its own, so that an ACL can deny it."""
+    """Key of a task's administration, e.g. recost; its own prefix lets an ACL deny it."""
     return f"{ROOT}/task/{task}/admin/{verb}"
 
 
@@ -79,7 +79,7 @@ def live_server_key(server_id: str) -> str:
 
 
 def live_peer_key(server: str) -> str:
-    """Key of the token by which servers that share their tasks see each other; `server` is the Zenoh id of one."""
+    """Key of the token that shows a server to those it shares tasks with; `server` is its Zenoh id."""
     return f"{ROOT}/live/peer/{server}"
 
 
@@ -89,7 +89,7 @@ def live_worker_key(task: str, worker_id: str) -> str:
 
 
 def left_worker_key(task: str, worker_id: str) -> str:
-    """Key of the token that a worker holds while it withdraws its own, which shows that it left in order."""
+    """Key of the token that shows that a worker left in order; held while it withdraws its own."""
     return f"{ROOT}/task/{task}/live/left/{worker_id}"
 
 
@@ -99,7 +99,7 @@ def claim_worker_key(task: str, worker_id: str, claim: str) -> str:
 
 
 def live_role_key(task: str, role: str, holder: str) -> str:
-    """Key of the token of the one process that plays a part in a task, such as judging it."""
+    """Key of the token of the one process that holds a role in a task, such as judging it."""
     return f"{ROOT}/task/{task}/live/role/{role}/{holder}"
 
 

@@ -1,7 +1,7 @@
-"""Text from others, made safe for a terminal or a log: control characters are escaped.
+"""Text from other programs, made safe for terminals and logs: control characters are escaped.
 
-A name that another program chose may hold escape sequences that write the clipboard or clear the screen, line feeds
-that forge lines of a log, and marks that turn the direction of what follows.
+A name from another program may contain escape sequences that write the clipboard or clear the screen, line feeds that
+forge log lines, and marks that reverse the text after them.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ _SHORT: Final = {"\n": "\\n", "\r": "\\r", "\t": "\\t"}
 
 
 def printable(text: str, keep: str = "") -> str:
-    r"""The text with everything written as an escape, such as ``\x1b``, that is no visible character and no space.
+    r"""The text, with everything but visible characters and spaces escaped, as in ``\x1b``.
 
-    That is control characters (C0, DEL, C1), marks of direction and zero width, separators of lines and paragraphs,
-    halves of surrogate pairs, and what Unicode does not assign.
+    Escaped are control characters (C0, DEL, C1), direction marks, zero-width characters, line and paragraph separators,
+    lone surrogates, and code points that Unicode does not assign.
 
     Args:
         text: Any.
-        keep: Characters that stay all the same, such as a line feed.
+        keep: Characters that are not escaped, such as a line feed.
     """
     if text.isprintable():
         return text
@@ -32,7 +32,7 @@ def printable(text: str, keep: str = "") -> str:
 
 
 def _written(one: str) -> str:
-    """One character that Python calls unprintable; of those, spaces of any width are harmless."""
+    """One character that Python calls unprintable; spaces among them are harmless."""
     if unicodedata.category(one) == "Zs":
         return one
     code = ord(one)
@@ -43,7 +43,7 @@ def _written(one: str) -> str:
 
 @final
 class LogFormatter(logging.Formatter):
-    """One line a record, whatever its message quotes; the lines of a traceback are indented, so that none looks new."""
+    """One line for each record, whatever it quotes; traceback lines are indented, so that none looks like a record."""
 
     def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802  # its name in logging
         """The record's line."""

@@ -1,4 +1,4 @@
-"""One trial: in this state this goal was tried and it cost that."""
+"""One trial: the goal that was tried in a state, and what it cost."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from crkr.protocol.specification.task_spec import TaskSpec
 
 __all__ = ["AMENDABLE", "KINDS", "MAX_INFO_BYTES", "Trial", "flags_of", "may_learn", "success_and_learn"]
 
-# What a trial cost where only its success is told: not 0 and 1, so that one label is never taken as certain.
+# Costs of labelled trials: not 0 and 1, because a label is never certain.
 LABEL_COSTS: Final = {True: 0.1, False: 0.9}
 AMENDABLE: Final = ("success", "cost", "outcome", "kind", "learn")
 KINDS: Final = ("trial", "demonstration", "evaluation", "failed")
@@ -37,7 +37,7 @@ class Trial:
         state: (d,) the situation.
         goal: (p,) the meta-parameters that were executed.
         cost: In [0, 1]; None only for kind "failed".
-        success: It did what was wanted.
+        success: Whether the trial succeeded.
         kind: "trial", "demonstration", "evaluation" or "failed".
         outcome: (q,) measured numbers, NaN where not observed; None where none were given.
         worker: Name of the worker that reported it.
@@ -78,8 +78,8 @@ class Trial:
     ) -> Trial:
         """Checks a trial against its task.
 
-        A goal or cost that is outside its bounds by no more than rounding, as a trip through float32 does, becomes the
-        bound; so both forms of it are one trial.
+        A goal or cost outside its bounds by a rounding error, e.g. of float32, becomes the bound, so that both forms
+        are the same trial.
 
         Raises:
             Invalid: Wrong shapes, values that are not finite, a goal outside the bounds, a cost outside [0, 1], or
@@ -121,7 +121,7 @@ class Trial:
         Args:
             message: The entry.
             spec: The task.
-            read_info: Reads its `info`; other than the default for what was stored before the rules were.
+            read_info: Reads its `info`; another function for trials stored before the rules.
         """
         if not isinstance(message, Mapping):
             raise Invalid(f"a trial is a map; got {type(message).__name__}")
@@ -168,16 +168,16 @@ class Trial:
 
     @property
     def flags(self) -> int:
-        """`success` and `learn` in one number; 0 or 1 where `learn` is left to the task."""
+        """`success` and `learn` in one number; 0 or 1 where the task decides `learn`."""
         return flags_of(self.success, self.learn)
 
     def amended(self, spec: TaskSpec, changes: Mapping[str, Any]) -> Trial:
         """The same trial with another `success`, `cost`, `outcome`, `kind` or `learn`.
 
-        Where the task learns from labels, a new label brings its cost. A trial that becomes "failed" is no success.
+        Where the task learns from labels, a new label brings its cost. A trial that becomes "failed" is not a success.
 
         Raises:
-            Invalid: A value that is not allowed, or values that do not go together.
+            Invalid: A value that is not allowed, or values that contradict each other.
         """
         values = {name: getattr(self, name) for name in AMENDABLE} | dict(changes)
         if changes.get("kind") == "failed" and "success" not in changes:
@@ -190,7 +190,7 @@ class Trial:
         return self.create(spec, **rest, **values, read_info=lambda _: dict(self.info))
 
     def digest(self) -> bytes:
-        """16 bytes that are equal exactly when the content (bitwise, provenance aside) is."""
+        """16 bytes, equal for trials with bitwise the same content, provenance aside."""
         cost = struct.pack("<d", float("nan") if self.cost is None else self.cost)
         head = bytes([KINDS.index(self.kind), self.flags, self.outcome is not None, self.cost is not None])
         content = [head, self.state.tobytes(), self.goal.tobytes(), cost]
@@ -205,7 +205,7 @@ def flags_of(success: bool, learn: bool | None) -> int:
 
 
 def success_and_learn(flags: int) -> tuple[bool, bool | None]:
-    """What `Trial.flags` stands for."""
+    """Success and `learn` of `Trial.flags`."""
     return bool(flags & 1), bool(flags & _LEARN) if flags & _LEARN_TOLD else None
 
 
@@ -215,7 +215,7 @@ def may_learn(success: bool, learn: bool | None, learn_from: str) -> bool:
 
 
 def _learn(value: object, kind: str) -> bool | None:
-    """A trial's `learn`; None for the other kinds, of which demonstrations are always learned from."""
+    """A trial's `learn`; None for other kinds. Demonstrations are always learned from."""
     if value is None:
         return None
     learn = flag(value, "learn")

@@ -1,4 +1,4 @@
-"""What Zenoh takes from its surroundings: the files that a configuration file names, and a variable."""
+"""Inputs of Zenoh: the files named in a configuration file, and an environment variable."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ FILE_SETTINGS: Final = (
 
 
 def named_files(configuration: Path, setting: Callable[[str], str]) -> dict[str, str]:
-    """The files' absolute paths by setting. A relative one counts from the configuration's folder.
+    """The files' absolute paths by setting; a relative one starts at the configuration's folder.
 
-    Zenoh itself counts from the working directory: a robot's file would then work in one folder only.
+    Zenoh itself starts at the working directory, so a robot's file would work in one folder only.
 
     Args:
         configuration: The configuration file.
         setting: Gives the JSON of one of its settings, "null" where it has none.
 
     Raises:
-        Invalid: One of them is not there.
+        Invalid: A file is missing.
     """
     named = {name: json.loads(setting(name)) for name in FILE_SETTINGS}
     paths = {name: (configuration.parent / path).absolute() for name, path in named.items() if path}
@@ -44,13 +44,13 @@ def named_files(configuration: Path, setting: Callable[[str], str]) -> dict[str,
 
 
 def is_panic(error: BaseException) -> bool:
-    """Whether a Rust library panicked, which raises what is no `Exception`."""
+    """Whether a Rust library panicked; its error is not an `Exception`."""
     return type(error).__name__ == "PanicException"
 
 
 @contextmanager
 def refusing_panics() -> Iterator[None]:
-    """A block that opens a session. Zenoh panics over a ZENOH_RUNTIME that it cannot read, for one.
+    """Context that opens a session. Zenoh panics if it cannot read ZENOH_RUNTIME.
 
     Raises:
         Invalid: Zenoh panicked.

@@ -1,10 +1,11 @@
-"""The randomness of exploration, as a pure function of who asks: a repeated question gets the same answer.
+"""The random numbers of exploration, a pure function of task and trial: a repeated question gets the same answer.
 
 The p uniforms of a trial come from SHAKE-128 [FIPS202] of 24 bytes: the task's seed as a little-endian unsigned 64-bit
 integer (modulo 2^64) and the trial's id (16 bytes, in network order). Each 8 bytes of output, read as a little-endian
 unsigned integer x, give one uniform ((x >> 12) + 1/2) / 2^52. That is strictly inside (0, 1) and exact in float64.
 
-Uniforms become draws from a normal distribution cut off at hard bounds, exact however far these are from the mean.
+Uniforms become draws from a normal distribution truncated at the bounds, exact for bounds at any distance from the
+mean.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from crkr.protocol import Array
 
 __all__ = ["draw_ids", "space_filling", "truncated_normal", "uniforms"]
 
-_MOST: Final = 1024  # trials after which the sequence starts again: going on from far takes time
+_MOST: Final = 1024  # trials after which the sequence repeats, as skipping far ahead takes time
 
 
 def uniforms(seed: int, trial_ids: Sequence[UUID], size: int) -> Array:
@@ -33,7 +34,7 @@ def uniforms(seed: int, trial_ids: Sequence[UUID], size: int) -> Array:
 
 
 def draw_ids(namespace: str, count: int) -> list[UUID]:
-    """`count` version 8 UUIDs [RFC9562] that depend on the namespace only, which is all that SHAKE-128 is given."""
+    """`count` version 8 UUIDs [RFC9562], SHAKE-128 of the namespace."""
     octets = np.frombuffer(shake_128(namespace.encode()).digest(16 * count), dtype=np.uint8).reshape(-1, 16).copy()
     octets[:, 6] = octets[:, 6] & 0x0F | 0x80
     octets[:, 8] = octets[:, 8] & 0x3F | 0x80
@@ -43,8 +44,8 @@ def draw_ids(namespace: str, count: int) -> list[UUID]:
 def truncated_normal(mean: Array, sigma: Array, low: Array, high: Array, uniform: Array) -> Array:
     """The quantile `uniform` of N(mean, sigma^2) restricted to [low, high]; shapes broadcast.
 
-    Probabilities are kept as logarithms and counted from the nearer tail, so that bounds 12 or 1000 sigma away from the
-    mean still give the right distribution. A zero sigma gives the mean, moved to the nearer bound.
+    Probabilities are logarithms and measured from the nearer tail, which stays exact for bounds 1000 sigma away from
+    the mean. A zero sigma gives the mean, clipped to the bounds.
 
     Args:
         mean: Mean of the untruncated normal.
@@ -62,24 +63,24 @@ def truncated_normal(mean: Array, sigma: Array, low: Array, high: Array, uniform
         above = np.logaddexp(log_ndtr(-a) + tail, log_ndtr(-b) + q)
         standard = np.where(below < above, ndtri_exp(below), -ndtri_exp(above))
         drawn = mean + sigma * standard
-    # Only where a bound is beyond the reach of log_ndtr is there no number: the draw is then at that bound.
+    # NaN only where a bound is out of log_ndtr's range: the draw is then at that bound.
     return np.minimum(np.maximum(np.where(np.isnan(drawn), mean, drawn), low), high)
 
 
 def space_filling(seed: int, ids: Sequence[UUID], tried: int, low: Array, high: Array) -> Array:
-    """(b, p) goals that fill the space between the bounds, for a task of which nothing is known yet.
+    """(b, p) goals that fill the space between the bounds, for a task that knows nothing yet.
 
-    They follow a scrambled Halton sequence [Owen2017], a point for each trial that came before, moved by a share of the
-    distance between points that the trial's id decides: workers that ask at the same moment try different goals.
+    A scrambled Halton sequence [Owen2017], indexed by the number of earlier trials. The trial's id shifts each point by
+    a fraction of the point distance, so that workers that ask at the same moment try different goals.
 
     Args:
         seed: The task's.
-        ids: One a goal.
-        tried: How many trials came before.
+        ids: One for each goal.
+        tried: Number of earlier trials.
         low: (p,) lowest goals allowed.
         high: (p,) highest goals allowed.
     """
-    from scipy.stats import qmc  # takes longer to load than all else that a server needs; few tasks ask for it
+    from scipy.stats import qmc  # slow to import, and few tasks need it
 
     b, p, first = len(ids), len(low), tried % _MOST
     sequence = qmc.Halton(p, scramble=True, rng=np.random.default_rng(seed % 2**64))

@@ -1,4 +1,4 @@
-"""What turns a posterior of goals into the goals to execute; every way to explore stands behind this interface."""
+"""The interface of exploration: from a posterior over goals to the goals to execute."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ class Choice(NamedTuple):
 
     Attributes:
         goals: (p,) or (b, p) within the bounds [units of the goal].
-        corrected: () or (b,) which goals are not the plain means because of what they would lead to; None: none.
-        predicted_outcome: (q,) or (b, q) [units of the outcome], NaN where it is not modelled; None: nowhere.
+        corrected: () or (b,) goals that differ from the means because of the expected outcome; None: none.
+        predicted_outcome: (q,) or (b, q) [units of the outcome], NaN where not modelled; None: not modelled at all.
         predicted_outcome_sd: The same shape.
-        success_probability: () or (b,), NaN where nothing is known; None: nowhere.
+        success_probability: () or (b,), NaN if unknown; None: not modelled at all.
     """
 
     goals: Array
@@ -37,25 +37,25 @@ class Choice(NamedTuple):
 class Explorer(Protocol):
     """Chooses goals given means and standard deviations; an immutable part of a model.
 
-    What it returns must depend on its arguments and on what it was made from only, row by row.
+    Its results must depend only on its arguments and its state, row by row.
     """
 
     @property
     def guides(self) -> bool:
-        """Whether it knows where to explore although nothing has succeeded yet."""
+        """Whether it can propose goals before the first success."""
 
     def best_tried(self, states: Array) -> Array:
-        """Goals (p,) or (b, p) to start from in these states while nothing has succeeded; asked only if it guides."""
+        """Goals (p,) or (b, p) to start from in these states before the first success; called only if it guides."""
 
     def prepare(self, trials: int = 0) -> bool:
-        """Process at most this many trials that answers wait for; True once all are done. For one thread at a time."""
+        """Process at most this many of the trials that answers need; True once all are done. Not thread-safe."""
 
     @property
     def searched(self) -> int:
-        """How many stored trials each state is compared with: what an answer costs beyond its regression grows so."""
+        """Stored trials compared per query state. Prediction time grows linearly with it."""
 
     def best(self, states: Array, means: Array, sigmas: Array) -> Choice:
-        """Goals to execute where nothing is to be tried out.
+        """Best known goals, without exploration.
 
         Args:
             states: (d,) or (b, d) [units of the state].
@@ -64,13 +64,13 @@ class Explorer(Protocol):
         """
 
     def draw(self, states: Array, means: Array, sigmas: Array, ids: Sequence[UUID]) -> Choice:
-        """Goals to try, a pure function of the trial ids besides."""
+        """Goals to try; also a pure function of the trial ids."""
 
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class GaussianExplorer:
-    """The paper's: the mean, or an independent normal draw around it  [Cardoso2017, alg. 1].
+    """The paper's exploration: the mean, or an independent normal draw around it  [Cardoso2017, alg. 1].
 
     Attributes:
         seed: Seed of the task's draws.
@@ -84,12 +84,12 @@ class GaussianExplorer:
 
     @classmethod
     def of(cls, spec: TaskSpec) -> GaussianExplorer:
-        """That of a task."""
+        """The explorer of a task."""
         return cls(spec.seed, *spec.bounds)
 
     @property
     def guides(self) -> bool:
-        """It does not."""
+        """False: it needs successes."""
         return False
 
     def best_tried(self, states: Array) -> Array:
@@ -97,13 +97,13 @@ class GaussianExplorer:
         return np.broadcast_to(self.low / 2 + self.high / 2, (*states.shape[:-1], len(self.low))).copy()
 
     def prepare(self, trials: int = 0) -> bool:
-        """Nothing is left."""
+        """True: there is nothing to process."""
         del trials  # Unused; the interface's.
         return True
 
     @property
     def searched(self) -> int:
-        """None."""
+        """0: it compares no trials."""
         return 0
 
     def best(self, states: Array, means: Array, sigmas: Array) -> Choice:

@@ -1,11 +1,11 @@
 """Gaussian-process regression near each of several points, on the trials nearest to it  [Rasmussen2006, alg. 2.1].
 
-    x  (r,)    a point: a trial in the metric of `OutcomeScales`     a  (p,)    a step from x that changes the goal only
+    x  (r,)    a point: a trial in the metric of `OutcomeScales`     a  (p,)    a step from x in the goal's coordinates
     D  (k, r)  its k neighbours minus x                               Y  (k, m)  what was observed in them
     K  (k, k)  kernel of the rows of D plus noise                     L  (k, k)  its lower factor, K = L L'
     alpha  (k, m)  K^-1 Y
 
-Every array has b points in front. A point's numbers do not depend on which other points are computed with it.
+Every array has a leading axis of b points. A point's result does not depend on the other points of the batch.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from crkr.protocol import Array
 __all__ = ["LocalGP", "StepKernel", "inverse_factor"]
 
 _FARTHEST: Final = 1e3  # length of a row of D; longer ones are shortened, so that K always factors
-_CHUNK: Final = 4  # points whose matrices are in the processor's cache together
-_PRIOR_TRIALS: Final = 10.0  # weight of "the amplitude is 1" against the trials; a few perfect ones are not certainty
+_CHUNK: Final = 4  # points whose matrices fit into the processor's cache
+_PRIOR_TRIALS: Final = 10.0  # weight of the prior "the amplitude is 1", in trials
 
 
 @final
@@ -32,15 +32,15 @@ _PRIOR_TRIALS: Final = 10.0  # weight of "the amplitude is 1" against the trials
 class StepKernel:
     """k(a, b) = constant + linear a.b + bend exp(-|a - b|^2 / (2 reach^2)), for steps from the point.
 
-    Far from data it is a straight line, near by it may bend.
+    Linear far from the data, curved near by.
 
     Attributes:
         constant: Prior variance at the point.
         linear: Of each slope.
-        bend: Of what is not straight.
-        reach: Over which it bends, in the metric.
+        bend: Prior variance of the curved part.
+        reach: Length-scale of the curved part, in the metric.
         noise: Variance of one observation.
-        change: Of what a changed robot does otherwise, as a share of the prior variance of what it did before.
+        change: Prior variance of the difference that a change of the robot makes, as a share of the prior variance.
     """
 
     constant: float
@@ -52,7 +52,7 @@ class StepKernel:
 
     @property
     def log_bend(self) -> float:
-        """Logarithm of `bend`; of none a number whose exponential is nothing beside the rest."""
+        """Logarithm of `bend`; a large negative number for 0."""
         return math.log(max(self.bend, 1e-300))
 
 
@@ -66,9 +66,9 @@ class LocalGP:
         D: (b, k, p) goal part of the neighbours minus the point.
         squares: (b, k) their whole squared length.
         alpha: (b, k, m).
-        factors: b matrices (k, k), L below the diagonal and anything above.
-        amplitude: (b, m) by which the prior's variances are multiplied for each entry.
-        former: How many of the neighbours, the last ones, are of the robot before it changed.
+        factors: b matrices (k, k), L below the diagonal, undefined above.
+        amplitude: (b, m) factor on the prior's variances for each entry.
+        former: Number of neighbours, at the end, from before the robot changed.
     """
 
     kernel: StepKernel
@@ -85,17 +85,17 @@ class LocalGP:
     ) -> LocalGP:
         """Regression on the neighbours of each point.
 
-        The prior is scaled for each entry by the evidence-maximising amplitude, drawn towards 1 as if by ten more
-        trials. What a changed robot does is what it did before, plus a process of the same kernel: trials of both teach
-        it [Bonilla2007].
+        The prior is scaled for each entry by the evidence-maximising amplitude, shrunk towards 1 by the weight of ten
+        trials. A changed robot is modelled as the old one plus a process of the same kernel, so that trials from before
+        and after teach it [Bonilla2007].
 
         Args:
             kernel: The prior.
             D: (b, k, r) neighbours minus their point, k >= 1.
             Y: (b, k, m) what was observed.
-            p: How many of the r coordinates, at the end, are the goal's.
+            p: Number of the r coordinates, at the end, that are the goal's.
             noise: (b, k) variance of each observation; None: the kernel's.
-            former: How many of the neighbours, at the end, are of the robot before it changed.
+            former: Number of neighbours, at the end, from before the robot changed.
         """
         squares = np.vecdot(D, D)
         if squares.max() > _FARTHEST**2:
@@ -113,7 +113,7 @@ class LocalGP:
             diagonal = K.reshape(len(K), -1)[:, :: k + 1]
             diagonal += noise[part]
             for row, one in enumerate(K, first):
-                L, _ = lapack.dpotrf(one.T, lower=1, clean=0, overwrite_a=1)  # in the place of K
+                L, _ = lapack.dpotrf(one.T, lower=1, clean=0, overwrite_a=1)  # overwrites K
                 factors.append(L)
                 W = blas.dtrsm(1.0, L, Y[row], lower=1)
                 fitted[row] = W
@@ -129,7 +129,7 @@ class LocalGP:
         """Expectations (b, c, m) at steps (b, c, p) and variances (b, c, m) of an observation there."""
         cross, lengths = self._cross(steps)
         mean = cross @ self.alpha
-        for L, one in zip(self.factors, cross, strict=True):  # L^-1 cross', in the place of it
+        for L, one in zip(self.factors, cross, strict=True):  # L^-1 cross', overwriting it
             blas.dtrsm(1.0, L, one.T, lower=1, overwrite_b=1)
         return mean, self._variance(lengths, np.vecdot(cross, cross))
 
@@ -146,7 +146,7 @@ class LocalGP:
     def line(self, step: Array) -> tuple[Array, Array, Array]:
         """Expectations (b, m) at steps (b, p), variances (b, m) of an observation there, and slopes (b, m, p).
 
-        A slope is the change of the expectation with the goal's coordinates in the metric.
+        A slope is the derivative of the expectation by the goal's coordinates in the metric.
         """
         cross, mean, slope = self._line(step)
         for L, one in zip(self.factors, cross, strict=True):
@@ -177,7 +177,7 @@ class LocalGP:
         return cross, (cross[:, None] @ self.alpha)[:, 0], slope
 
     def of(self, which: Indices) -> LocalGP:
-        """That near some of the points."""
+        """The regression near some of the points."""
         factors = tuple(self.factors[point] for point in which.tolist())
         parts = (self.D[which], self.squares[which], self.alpha[which], factors, self.amplitude[which])
         return LocalGP(self.kernel, *parts, self.former)
@@ -189,14 +189,14 @@ class LocalGP:
         return self._with_change(cross), lengths
 
     def _with_change(self, cross: Array) -> Array:
-        """Covariances (b, ..., k) with the neighbours, more of it with those of the robot as it is; in place."""
+        """Covariances (b, ..., k) with the neighbours, larger for those since the last change; in place."""
         if self.former:
             cross[..., : cross.shape[-1] - self.former] *= 1.0 + self.kernel.change
         return cross
 
 
 def _kernel(kernel: StepKernel, dots: Array, left: Array, right: Array) -> Array:
-    """The kernel (b, a, k) of rows whose products (b, a, k) are used up and whose squared lengths are given."""
+    """The kernel (b, a, k) of rows, from their squared lengths and their products (b, a, k), which are overwritten."""
     half = 0.5 / kernel.reach**2
     bend = dots * (2.0 * half)
     bend -= (half * left - kernel.log_bend)[..., None]
@@ -209,9 +209,9 @@ def _kernel(kernel: StepKernel, dots: Array, left: Array, right: Array) -> Array
 
 
 def inverse_factor(A: Array) -> Array:
-    """Inverses (..., r, r) of the lower Cholesky factors of A (..., r, r), which is used up.
+    """Inverses (..., r, r) of the lower Cholesky factors of A (..., r, r), which is overwritten.
 
-    They serve for all right-hand sides, and the matrices are small and far enough from singular for that.
+    They serve all right-hand sides; the matrices are small and well conditioned.
     """
     for one in A.reshape(-1, *A.shape[-2:]):
         L, _ = lapack.dpotrf(one.T, lower=1, clean=1, overwrite_a=1)

@@ -1,12 +1,12 @@
 """Outcome-guided exploration: the GP distribution over goals, conditioned on the target outcome.
 
-The prior N(m, (trust sigma)^2) from the regression of successes is conditioned on the outcome being the target, as the
-outcome model sees it: a Kalman update, repeated where it leads to. Misses thus teach as much as hits, and noise is left
-in those directions of the goal that do not change the outcome. Learned forward models guide contextual policy search in
-[Kupcsik2013]; here the regression's own uncertainty bounds how far they are trusted.
+The prior N(m, (trust sigma)^2) from the regression of successes is conditioned on a predicted outcome at the target, by
+Kalman updates around successive goals. Misses teach as much as hits, and noise remains in directions of the goal that
+do not change the outcome. Learned forward models guide contextual policy search in [Kupcsik2013]; here the regression's
+uncertainty bounds how far they are trusted.
 
-`draw` takes a draw of the conditioned prior N(g, P'), at one of several temperatures, that is within the bounds and
-likely to be executed. `best` takes the candidate of highest score among the mean, g and draws from a fixed table.
+`draw` samples the conditioned prior N(g, P'), at one of several temperatures, until a goal is within the bounds and
+likely to be executed. `best` takes the highest score among the mean, g and draws from a fixed table.
 
 After the p uniforms of a trial (see draws.py) the next one chooses its temperature; then come `_ATTEMPTS` acceptances,
 and p + q + 1 numbers for each attempt.
@@ -37,18 +37,16 @@ from crkr.protocol import Array, Exploration, TaskSpec
 __all__ = ["OutcomeExplorer"]
 
 _ATTEMPTS: Final = 16
-_BLOCK: Final = 32  # states at a time: a call of numpy costs as much as one state's matrices
-_STILL: Final = 0.02  # scales; an update that moves the goal by less is the last
-_REFIT: Final = 0.3  # scales from where the model was fitted, beyond which it is fitted anew
-_SAFE: Final = np.log(0.9)  # P(executed) above which a mean that should hit is not looked at further
-_UNSEEN: Final = 400.0  # squared tolerances that an entry is thought to be off where it was not observed
+_BLOCK: Final = 32  # states per batch, as a numpy call costs as much as one state's matrices
+_STILL: Final = 0.02  # scales; updates end when one moves the goal by less
+_REFIT: Final = 0.3  # scales from where the model was fitted, beyond which it is refitted
+_SAFE: Final = np.log(0.9)  # P(executed) above which a mean on target needs no update
+_UNSEEN: Final = 400.0  # squared tolerances assumed for an unobserved entry
 _FAR: Final = 1e4  # and at most
-_STATE_SLOPE: Final = 30.0  # squared tolerances that an outcome changes with one step of the state
+_STATE_SLOPE: Final = 30.0  # squared tolerances by which an outcome changes with one step of the state
 _UNKNOWN: Final = Calibration()
-_LOOSE: Final = (
-    2.0  # scales that a goal may be moved at least once the robot has changed: successes before say too much
-)
-_WIDTHS: Final = (0.1, 0.3, 1.0)  # of the candidates, in standard deviations of P'
+_LOOSE: Final = 2.0  # scales by which a goal may move at least, once the robot has changed
+_WIDTHS: Final = (0.1, 0.3, 1.0)  # widths of the candidates, in standard deviations of P'
 
 
 @final
@@ -57,13 +55,13 @@ class OutcomeExplorer:
     """Goals conditioned on the target outcome; plain ones until enough outcomes were observed. Make it with `of`.
 
     Attributes:
-        plain: Answers until then, and gives the goals that are corrected.
+        plain: Answers until then, and proposes the goals that are corrected.
         settings: The task's `exploration`.
         scales: The task's units.
-        trials: What was tried so far.
-        groups: Those groups of outcomes that were observed in `min_trials` trials or more; others are not modelled.
-        calibration: How far its model may be believed.
-        changed: The robot has changed since the task began.
+        trials: The trials so far.
+        groups: Groups of outcomes observed in at least `min_trials` trials; others are not modelled.
+        calibration: How reliable its model is.
+        changed: Whether the robot has changed since the task began.
     """
 
     plain: GaussianExplorer
@@ -76,7 +74,7 @@ class OutcomeExplorer:
 
     @classmethod
     def of(cls, spec: TaskSpec, scales: OutcomeScales, trials: ObservedTrials) -> OutcomeExplorer:
-        """That of a task; `with_trials` gives later ones."""
+        """The explorer of a new task; `with_trials` makes later ones."""
         return cls(GaussianExplorer.of(spec), spec.exploration, scales, trials, ()).with_trials(trials)
 
     def with_trials(
@@ -86,28 +84,28 @@ class OutcomeExplorer:
         *,
         changed: bool = False,
     ) -> OutcomeExplorer:
-        """The same with other trials to look up, and what they say of the model."""
+        """The same with other trials and the calibration they give."""
         enough = trials.enough(self.settings.min_trials)
         return replace(self, trials=trials, groups=enough, calibration=calibration, changed=changed)
 
     @property
     def guides(self) -> bool:
-        """Once enough outcomes were observed."""
+        """Whether enough outcomes were observed."""
         return bool(self.groups)
 
     def prepare(self, trials: int = 0) -> bool:
-        """Work on how far the model may be believed."""
+        """Work on the calibration of the model."""
         return not self.guides or self.calibration.advance(trials)
 
     @property
     def searched(self) -> int:
-        """The newest tried goals, once enough outcomes were observed: all of them are looked through."""
+        """The newest trials, once enough outcomes were observed: all of them are compared."""
         return len(self.trials.newest()) if self.guides else 0
 
     def best_tried(self, states: Array) -> Array:
-        """(p,) or (b, p) of the newest tried goals, whose outcome should be nearest to the target in these states.
+        """(p,) or (b, p) of the newest goals, those whose outcome here is probably nearest to the target.
 
-        A trial counts by its squared outcome, by how far its state is, and against it by what was not observed.
+        Trials are compared by squared outcome, distance of the state, and a penalty for unobserved entries.
         """
         known = self.trials if len(self.trials) or self.trials.former is None else self.trials.former
         trials, d = known.newest(), self.trials.X.shape[1] - len(self.scales.scales)
@@ -121,23 +119,23 @@ class OutcomeExplorer:
         return self._goals(goals).reshape(*states.shape[:-1], -1)
 
     def best(self, states: Array, means: Array, sigmas: Array) -> Choice:
-        """The plain goals where they should do, otherwise the candidates of highest score.
+        """The plain goals where they are good enough, otherwise the candidates of highest score.
 
-        A plain goal does where every entry of its predicted outcome is within `gate` tolerances and it is likely to be
-        executed.
+        A plain goal is good enough if every entry of its predicted outcome is within `gate` tolerances and it is likely
+        to be executed.
         """
         if not self.guides:
             return self.plain.best(states, means, sigmas)
         return self._by_blocks(self._best, states, means, sigmas)
 
     def draw(self, states: Array, means: Array, sigmas: Array, ids: Sequence[UUID]) -> Choice:
-        """Draws from N(g, temperature^2 P'), the conditioned prior; the trial id decides the temperature too."""
+        """Draws from N(g, temperature^2 P'), the conditioned prior; the trial id also decides the temperature."""
         if not self.guides:
             return self.plain.draw(states, means, sigmas, ids)
         return self._by_blocks(self._draw, states, means, sigmas, ids)
 
     def _by_blocks(self, choose: Callable[..., Choice], states: Array, *rest: Array | Sequence[UUID]) -> Choice:
-        """Some states at a time, which bounds the memory that their matrices take; a single one as one of one."""
+        """States in batches, to bound memory; a single state is a batch of one."""
         if states.ndim == 1:
             alone = [part[None] if isinstance(part, np.ndarray) else part for part in rest]
             parts: list[Any] = list(choose(states[None], *alone))
@@ -180,7 +178,7 @@ class OutcomeExplorer:
         return self._choice(self._goals(drawn), nowhere, model.entries, raw, variance, chance)
 
     def _prior(self, states: Array, means: Array, sigmas: Array) -> tuple[Array, Array, Array]:
-        """States in the metric, scaled means, and how far these may be moved."""
+        """States in the metric, scaled means, and how far the means may move."""
         own = self.scales
         spread = self.settings.trust * (sigmas / own.scales)
         if self.changed:
@@ -194,10 +192,10 @@ class OutcomeExplorer:
     def _conditioned(
         self, z: Array, means: Array, spread: Array, model: OutcomeModel
     ) -> Iterator[tuple[Indices, Posterior, OutcomeModel]]:
-        """Posteriors with means within the bounds, and the models they were made with; `model` is centred at the means.
+        """Posteriors with means within the bounds, and their models; `model` is centred at the means.
 
-        Where a posterior is far from the mean, the model is fitted anew around it. Hence there are up to two parts,
-        each with the rows that it is of.
+        Where a posterior is far from the mean, the model is refitted around it. Hence there are up to two parts, each
+        with its rows.
         """
         posterior = condition_within(means, spread, model.line(means), self.scales)
         away = np.abs(posterior.g - means).max(axis=1)
@@ -214,7 +212,7 @@ class OutcomeExplorer:
     def _updated(
         self, means: Array, spread: Array, posterior: Posterior, start: Array, model: OutcomeModel
     ) -> Posterior:
-        """Updates repeated, each with the line at the goal before, until the goal moves no more; the first is done."""
+        """Repeats updates, each linearised at the previous goal, until the goal stops; the first one is given."""
         moving = np.flatnonzero(np.abs(posterior.g - start).max(axis=1) >= _STILL)
         for _ in range(1, self.settings.iterations):
             if not len(moving):
@@ -242,7 +240,7 @@ class OutcomeExplorer:
         columns = np.concatenate([np.arange(p), p + model.entries, [p + q - 1]])
         goals = posterior.g[:, None] + temperatures[:, None, None] * posterior.deviations(ndtri(u[:, :, columns]))
         inside = ((goals >= self.scales.low) & (goals <= self.scales.high)).all(axis=2)
-        inside[~inside.any(axis=1), 0] = True  # none is: the first, moved to the nearest bound
+        inside[~inside.any(axis=1), 0] = True  # none is: the first, clipped to the bounds
         goals = self.scales.within(goals)
         chances = np.where(inside, model.executed(goals), -np.inf)
         taken = inside & (np.log(accepted) <= chances)
@@ -255,7 +253,7 @@ class OutcomeExplorer:
         return np.minimum(np.maximum(goals, self.plain.low), self.plain.high)
 
     def _chance(self, seen: Prospect, chosen: Indices) -> Array:
-        """(b,) P(success) of the goal chosen at each state; NaN where nothing is known."""
+        """(b,) P(success) of the goal chosen at each state; NaN if unknown."""
         looked_at = features(seen)[np.arange(len(chosen)), chosen]
         curve = self.calibration.get().curve
         return np.full(len(chosen), np.nan) if curve is None else curve.at(looked_at)

@@ -1,10 +1,10 @@
-"""The tried goals, hits, misses and refusals alike: what the outcome model looks up.
+"""The trials that the outcome model searches: hits, misses and refused goals.
 
     X  (n, d + p)  trials in the metric of `OutcomeScales`      Y  (n, q)  outcomes in tolerances from the target
 
-Rows are only appended, so that a snapshot is a view: it costs nothing, and later trials do not touch it. The newest
-`SEARCHED` trials at most are all looked through, which takes less than 0.1 ms; older ones are sealed in leaves of
-neighbours, of which a few are looked through (see `SealedTrials`).
+Rows are only appended, so a snapshot is a view that later trials do not change. At most `SEARCHED` of the newest trials
+are searched in full, in less than 0.1 ms; older ones are sealed in leaves of neighbours, of which only a few are
+searched (see `SealedTrials`).
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from crkr.protocol import Array
 __all__ = ["LARGEST_SINGLE", "SEARCHED", "ObservedTrials", "OutcomeIndex", "in_single_precision"]
 
 SEARCHED: Final = 12_288
-_UNSEALED: Final = SEARCHED - UNIT  # newest trials that are not sealed, at least
-_REPLACED: Final = 400  # trials after a change, from which on those before are of no use
-LARGEST_SINGLE: Final = 1e30  # squared length up to which distances are compared in single precision
-_ALIGNED: Final = 4  # numbers of a row, by which matrix products go through it fastest
+_UNSEALED: Final = SEARCHED - UNIT  # at least so many of the newest trials are not sealed
+_REPLACED: Final = 400  # trials after a change, from which on earlier ones are dropped
+LARGEST_SINGLE: Final = 1e30  # squared length up to which single precision is used
+_ALIGNED: Final = 4  # row lengths are multiples of this, for fast matrix products
 
 
 @final
@@ -44,14 +44,14 @@ class ObservedTrials:
         fits_single: Whether all lengths are at most `LARGEST_SINGLE`.
         Y: (n, q) outcomes in tolerances from the target, NaN where not observed.
         sealed: The n - m older trials.
-        counts: For each group in how many of the newest m it was observed.
-        hidden: For each group (n,) infinity where it was not observed, else 0; None where it was in all. After the
-            groups comes one more, `everything`, which is hidden nowhere.
-        refused: (n,) which goals were refused, not executed.
+        counts: Number of the newest m trials in which each group was observed.
+        hidden: For each group (n,) infinity where it was not observed, else 0; None if it was in all. One more group at
+            the end, `everything`, is never hidden.
+        refused: (n,) goals that were refused, not executed.
         any_refused: Whether any was.
-        success: (n,) which did what was wanted.
-        shown: (n,) which are demonstrations.
-        former: The trials of the robot before it changed; None: it has not, or enough came since.
+        success: (n,) successes.
+        shown: (n,) demonstrations.
+        former: Trials from before the robot changed; None: it has not, or enough came since.
     """
 
     X: Array
@@ -82,9 +82,9 @@ class ObservedTrials:
         before: tuple[Sequence[int], int] | None = None,
         former: ObservedTrials | None = None,
     ) -> ObservedTrials:
-        """Those of which `hidden` says where a group is hidden; the arrays become read-only.
+        """Makes the value from trials and `hidden`; the arrays become read-only.
 
-        `before` are the numbers of sealed trials in which each group is hidden, and of the refused among them.
+        `before`: numbers of sealed trials in which each group is hidden, and of refused ones.
         """
         sealed = SealedTrials.nothing(single.shape[1]) if sealed is None else sealed
         old_hidden, old_refused = ([0] * len(hidden), 0) if before is None else before
@@ -108,12 +108,12 @@ class ObservedTrials:
         return len(self.X)
 
     def enough(self, least: int) -> tuple[int, ...]:
-        """The groups observed in at least `least` of the newest, unsealed trials and the former ones."""
+        """Groups observed in at least `least` of the unsealed and the former trials."""
         counts = self.counts if self.former is None else np.add(self.counts, self.former.counts)
         return tuple(group for group in range(self.everything) if counts[group] >= min(least, _UNSEALED))
 
     def newest(self) -> ObservedTrials:
-        """Those that are not sealed."""
+        """The unsealed trials."""
         first = len(self) - len(self.single)
         if not first:
             return self
@@ -142,13 +142,13 @@ def in_single_precision(X: Array) -> tuple[Single, bool]:
 
 @final
 class OutcomeIndex:
-    """Follows the store's trials, kinds trial, demonstration and failed that are not removed; never the judged ones.
+    """Follows the store's trials of kinds trial, demonstration and failed that are not removed; never evaluations.
 
     Args:
         scales: The task's.
         store: The trials.
 
-    Robots change: the trials from the row `start` on are of the robot as it is, those before of the robot as it was.
+    Robots change: trials from row `start` on belong to the present robot, earlier ones to the robot before.
     """
 
     def __init__(self, scales: OutcomeScales, store: SampleStore) -> None:
@@ -158,7 +158,7 @@ class OutcomeIndex:
         self._clear()
 
     def _clear(self) -> None:
-        """Starts with new arrays: snapshots still look at the old ones."""
+        """Starts with new arrays, as snapshots still use the old ones."""
         d, p, q = (array.shape[1] for array in (self._store.states, self._store.goals, self._store.outcomes))
         self._X = Growable(np.float64, (d + p,))
         self._single = Growable(np.float32, in_single_precision(np.zeros((0, d + p)))[0].shape[1:])
@@ -203,14 +203,14 @@ class OutcomeIndex:
         return True
 
     def holds(self, row: int) -> bool:
-        """Whether a row of the store may be among those at hand."""
+        """Whether a row of the store may be among the searched ones."""
         if self._former_start <= row < self._start:
             return True
         position = int(np.searchsorted(self._rows.rows, row))
         return position < len(self._rows) and bool(self._rows.rows[position] == row)
 
     def restart(self, kept: int) -> None:
-        """All but the newest trials are of a robot that has changed; `rebuild` must follow."""
+        """Marks all but the newest trials as those before a change; `rebuild` must follow."""
         newest = self.usable(np.arange(len(self._store)))[-kept:]
         if len(newest):
             self._former_start, self._start = self._start, int(newest[0])
@@ -230,13 +230,13 @@ class OutcomeIndex:
         return len(self._rows)
 
     def snapshot(self) -> ObservedTrials:
-        """What is searched from now on; later changes do not show in it."""
+        """A snapshot of the trials to search; later changes do not show in it."""
         if self._snapshot is None:
             self._snapshot = self.before(len(self))
         return self._snapshot
 
     def before(self, position: int) -> ObservedTrials:
-        """What was searched when the trial at this position came."""
+        """The snapshot that was searched when the trial at this position came."""
         units = _sealed_units(position)
         sealed = next((one for one in self._sealed if one.units == units), None)
         if sealed is None:  # long ago
@@ -250,7 +250,7 @@ class OutcomeIndex:
         return ObservedTrials.of(X, single, self._fits_single, Y, hidden, refused, success, shown, *older, former)
 
     def _with_sealed(self, sealed: SealedTrials, units: int) -> SealedTrials:
-        """With more units, whose counts are noted."""
+        """Seals more units and notes their counts."""
         for number in range(len(self._sealed_counts) - 1, units):
             unit = slice(number * UNIT, (number + 1) * UNIT)
             hidden, refused = self._sealed_counts[-1]
@@ -260,11 +260,11 @@ class OutcomeIndex:
         return sealed.extended(self._single.rows, units, self._X.rows.shape[1])
 
     def usable(self, rows: Indices) -> Indices:
-        """Those of some rows that tell what a goal leads to, of the robot as it is."""
+        """Those of some rows that show what a goal leads to on the present robot."""
         rows = rows[rows >= self._start]
         return np.asarray(rows[self._store.tried(rows)])
 
 
 def _sealed_units(count: int) -> int:
-    """How many units are sealed after a number of trials."""
+    """Number of units sealed after a number of trials."""
     return max(0, count - _UNSEALED) // UNIT

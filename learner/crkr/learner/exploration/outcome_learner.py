@@ -1,4 +1,4 @@
-"""The outcome model as trials come and go: the index followed, and an explorer for the next model."""
+"""The outcome model as trials come and go: it updates the index and makes the explorer of the next model."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ from crkr.protocol import TaskSpec
 
 __all__ = ["Drift", "OutcomeLearner"]
 
-_KEPT_AT_DRIFT: Final = 3  # trials that show the change; older ones are of the robot as it was
+_KEPT_AT_DRIFT: Final = 3  # trials that show the change; older ones belong to the robot before
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class Drift:
-    """Whether the robot changes under the outcome model.
+    """Drift: whether the robot has changed since the outcome model was learned.
 
     Attributes:
-        restarts: How often the outcome model was restarted.
-        last_seq: Log position of the last restart; None: there was none.
+        restarts: Number of restarts of the outcome model.
+        last_seq: Log position of the last restart; None without one.
         score: CUSUM of the squared standardised residuals; above 12 the model is restarted.
-        due: Whether it should be restarted now.
+        due: Whether a restart is due.
     """
 
     restarts: int
@@ -47,14 +47,14 @@ class Drift:
 
 @final
 class OutcomeLearner:
-    """Keeps the explorer that the store's trials call for.
+    """Keeps the explorer up to date with the store's trials.
 
     Args:
         spec: The task as created.
         store: The trials.
 
     Attributes:
-        explorer: The present one; another object whenever its trials change.
+        explorer: The current one; a new object whenever its trials change.
     """
 
     def __init__(self, spec: TaskSpec, store: SampleStore) -> None:
@@ -68,7 +68,7 @@ class OutcomeLearner:
 
     @property
     def drift(self) -> Drift:
-        """How far the newest trials are from what was expected of them."""
+        """How far the newest outcomes are from their predictions."""
         if self._deferred is not None:
             return Drift(self._restarts, self._last_restart, 0.0, due=False)
         record = self._record
@@ -87,12 +87,12 @@ class OutcomeLearner:
         self._renew(self._record.calibration)
 
     def remove(self, rows: Sequence[int]) -> None:
-        """Rows were removed from learning; start again without them."""
+        """Start again without rows that were removed from learning."""
         if any(self._index.holds(row) for row in rows):
             self.rebuild()
 
     def rebuild(self) -> None:
-        """Start again from the store. What the newest trials were expected to do is worked out when it is needed."""
+        """Start again from the store. Predictions for the newest trials are computed when they are needed."""
         self._index.rebuild()
         usable = self._index.usable(np.arange(len(self._store)))
         tried = usable[~self._store.demonstrated(usable)]
@@ -103,11 +103,11 @@ class OutcomeLearner:
         self._renew(self._deferred)
 
     def restart(self, seq: int, *, rebuild: bool) -> None:
-        """Start anew from the newest trials, and from how the robot was before: it has changed.
+        """Restart from the newest trials after a change of the robot; its former behaviour is the prior.
 
         Args:
             seq: Log position of the event.
-            rebuild: Make the model anew; False where `rebuild` will be called.
+            rebuild: Rebuild the model; False if `rebuild` will be called.
         """
         self._index.restart(_KEPT_AT_DRIFT)
         self._restarts, self._last_restart = self._restarts + 1, seq
@@ -119,7 +119,7 @@ class OutcomeLearner:
         self.explorer = self.explorer.with_trials(self._index.snapshot(), calibration, changed=changed)
 
     def _steps(self, count: int, first: ObservedTrials | None = None) -> list[tuple[ObservedTrials, ObservedTrials]]:
-        """What was at hand before and after each of the newest trials; `first` is what was before all of them."""
+        """The snapshots before and after each of the newest trials; `first` is the one before all of them."""
         if not count:
             return []
         start, end = len(self._index) - count, len(self._index)

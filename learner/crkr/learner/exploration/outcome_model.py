@@ -1,11 +1,11 @@
-"""What a goal leads to near some states: its outcome, and whether it is executed at all.
+"""Predicts the outcome of goals near some states, and whether a goal is executed at all.
 
     z  (d,)  standardised state      g  (p,)  scaled goal      o  (m,)  outcome in tolerances from the target
 
-Every group of outcome entries has a Gaussian process of the trials nearest to [z, g], hits and misses alike. Refused
-goals are data too: one more process learns 0 for what was executed and -2 for what was refused, and its expectation r
-tells P(executed) = Phi((r + 0.5) / 0.3). Both are local, so that their cost does not grow with what is stored, and
-global while all trials are among the nearest.
+Each group of outcome entries has a Gaussian process on the trials nearest to [z, g], hits and misses. Refused goals are
+data too: one more process learns 0 for executed and -2 for refused goals, and its expectation r gives P(executed) =
+Phi((r + 0.5) / 0.3). Both are local, so that their cost does not grow with the number of trials, and global while all
+trials are among the nearest.
 """
 
 from __future__ import annotations
@@ -28,26 +28,26 @@ from crkr.protocol import MOST_NEIGHBOURS, Array, Exploration
 
 __all__ = ["OutcomeModel", "Prospect"]
 
-# Constants found on logs of several tasks; see docs/outcomes.md. Outcomes are in tolerances, steps in the metric.
+# Tuned on logs of several tasks, see docs/outcomes.md. Outcomes are in tolerances, steps in the metric.
 _OUTCOME: Final = StepKernel(constant=900.0, linear=100.0, bend=100.0, reach=5.0, noise=0.05)
 _KERNELS: Final = {
     "gp": _OUTCOME,
     "line": replace(_OUTCOME, bend=0.0),
-    # So wide a bend is a straight line and a quadratic term, about as curved as that of "gp" is near by.
+    # A bend this wide is a straight line plus a quadratic term, about as curved as "gp" near by.
     "quadratic": replace(_OUTCOME, bend=25_600.0, reach=20.0, linear=36.0),
 }
-_SHARE_OF_SIZE: Final = 0.0025  # of an outcome's square that is noise: far misses say little of what is near the target
+_SHARE_OF_SIZE: Final = 0.0025  # share of a squared outcome that is noise: far misses say little about the target
 _REFUSAL: Final = StepKernel(constant=4.0, linear=1.0, bend=4.0, reach=2.0, noise=0.1)
 _REFUSED: Final = -2.0
 _THRESHOLD: Final = -0.5
 _WIDTH: Final = 0.3  # of the probit
-_SAFE: Final = -0.05  # r above which a goal need not be moved to be executed
+_SAFE: Final = -0.05  # r above which a goal is executed without a correction
 
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Prospect:
-    """What goals should lead to.
+    """Predicted outcomes of goals.
 
     Attributes:
         o: (b, c, m) expected outcomes; 0 where a one-sided target is met.
@@ -63,7 +63,7 @@ class Prospect:
 
     @property
     def score(self) -> Array:
-        """(b, c) log of how likely a goal is executed and then on target, up to a constant."""
+        """(b, c) log probability that a goal is executed and on target, up to a constant."""
         spread = 1.0 + self.variance
         return np.asarray((-0.5 * (self.o * self.o / spread + np.log(spread))).sum(axis=-1) + self.executed)
 
@@ -75,11 +75,11 @@ class OutcomeModel:
 
     Attributes:
         centre: (b, p) goals that the fits were made at.
-        entries: (m,) which outcome entries are modelled.
-        fits: For sets of entries that were observed in as many trials near by: their fit, for one set after another.
-        places: Where the entries are among all that the fits give.
-        risky: Which states have refused goals near by.
-        refusals: The model of these; None where there are none.
+        entries: (m,) outcome entries that are modelled.
+        fits: One fit for each number of nearby trials, shared by the sets of entries observed in that many.
+        places: Positions of the entries in the output of the fits.
+        risky: States with refused goals near by.
+        refusals: The model of refusals; None without any.
         one_sided: (m,) +1 or -1 for entries that may exceed or fall short of their target, else 0.
     """
 
@@ -106,9 +106,9 @@ class OutcomeModel:
         Args:
             trials: What is searched.
             scales: The task's units.
-            groups: Which groups are modelled, at least one.
+            groups: Groups to model, at least one.
             z: (b, d) states in the metric.
-            goals: (b, p) where the fits are best.
+            goals: (b, p) centres of the fits.
             settings: The number of neighbours, and the kind of model.
         """
         x = np.concatenate([z, GOAL_SHARE * goals], axis=1)
@@ -125,7 +125,7 @@ class OutcomeModel:
             if any_refused and searched[0][0] in everywhere:
                 refused = _joined([part.refused[found.rows[0]] for part, found in near], 1)
                 risky, refusals = _refusals(D[0], refused, p, counted[1])
-            first = int(searched[0] == [trials.everything])  # all trials are looked up for their refusals alone
+            first = int(searched[0] == [trials.everything])  # the group of all trials is searched for refusals only
             sets = searched[first:]
             if not sets:
                 continue
@@ -145,7 +145,7 @@ class OutcomeModel:
         return cls(goals, entries, tuple(fits), tuple(places), risky, refusals, one_sided)
 
     def prospect(self, goals: Array) -> Prospect:
-        """What goals (b, c, p) lead to."""
+        """Predicts the outcomes of goals (b, c, p)."""
         steps = GOAL_SHARE * (goals - self.centre[:, None])
         raw, variance = self._expected(steps)
         return Prospect(self._missed(raw), raw, variance, self.executed(goals))
@@ -156,7 +156,7 @@ class OutcomeModel:
         return self._of_entries(raw), self._of_entries(variance)
 
     def _of_entries(self, parts: Sequence[Array]) -> Array:
-        """(b, c, m) of what the fits gave (s b, c, *)."""
+        """(b, c, m) from the output (s b, c, *) of the fits."""
         b, each = len(self.centre), []
         for part, places in zip(parts, self.places, strict=True):
             sets = part.reshape(-1, b, *part.shape[1:])
@@ -194,7 +194,7 @@ class OutcomeModel:
         return OutcomeLine(goals, all_o, all_J, R)
 
     def of(self, which: Indices) -> OutcomeModel:
-        """That near some of the states."""
+        """The model near some of the states."""
         if len(which) == len(self.centre):
             return self
         places = np.flatnonzero(np.isin(self.risky, which)) if self.refusals is not None else self.risky
@@ -209,13 +209,13 @@ class OutcomeModel:
 
 
 def _for_each(steps: Array, fit: LocalGP) -> Array:
-    """Steps (b, ...) once for each set of entries of a fit."""
+    """Steps (b, ...), repeated for each set of entries of a fit."""
     sets = len(fit.D) // len(steps)
     return steps if sets == 1 else np.concatenate([steps] * sets)
 
 
 def _refusals(D: Array, refused: NDArray[np.bool_], p: int, former: int) -> tuple[Indices, LocalGP | None]:
-    """Which points have a refused goal among their neighbours, and the model there."""
+    """Points with a refused goal among their neighbours, and the model there."""
     risky = np.flatnonzero(refused.any(axis=1))
     if not len(risky):
         return risky, None
@@ -224,7 +224,7 @@ def _refusals(D: Array, refused: NDArray[np.bool_], p: int, former: int) -> tupl
 
 
 def _counted(trials: ObservedTrials, group: int, count: int) -> tuple[int, int]:
-    """How many neighbours are of the robot as it is, and of it before a change: at least a half of them."""
+    """Numbers of neighbours from after and before a change of the robot; at least half are from after it."""
     newer = trials.counts[group]
     if trials.former is None:
         return min(count, newer), 0
@@ -235,7 +235,7 @@ def _counted(trials: ObservedTrials, group: int, count: int) -> tuple[int, int]:
 def _nearest(
     trials: ObservedTrials, x: Array, groups: Sequence[int], newer: int, older: int
 ) -> list[tuple[ObservedTrials, Neighbours]]:
-    """The nearest trials of the robot as it is, then those before it changed; each part if any are wanted."""
+    """The nearest trials since the robot changed, then those before; either part may be empty."""
     parts = ((trials, newer), (trials.former, older))
     return [(part, nearest(part, x, groups, count)) for part, count in parts if part is not None and count]
 
@@ -248,9 +248,9 @@ def _joined(parts: list[NDArray[Any]], axis: int = 2) -> NDArray[Any]:
 def _sets(
     trials: ObservedTrials, groups: Sequence[int], everywhere: Set[int], any_refused: bool, count: int
 ) -> Iterable[tuple[tuple[int, int], list[list[int]]]]:
-    """Numbers of neighbours, and for each the groups that have so many; those observed in all trials together, first.
+    """Numbers of neighbours, each with its groups; groups observed in all trials come first, together.
 
-    The group of all trials stands for them where a goal was refused and no other group was always observed.
+    The group of all trials is added where a goal was refused and no other group was always observed.
     """
     whole = [group for group in groups if group in everywhere]
     together = [whole] if whole else [[trials.everything]] if any_refused else []

@@ -1,11 +1,9 @@
-"""The executed trials nearest to each of several points, the same whatever points are asked for together.
+"""The executed trials nearest to each of several points; the other points of a batch do not change the result.
 
     X  (n, r)  trials in the metric       x  (b, r)  points       D  (b, k, r)  neighbours minus their point
 
-Where trials are many, one matrix product in single precision gives all distances, with a rounding error that depends on
-its neighbours in the product. Hence they only say which trials may be among the nearest: those are measured again.
-
-Of sealed trials only those near by are looked at, point by point.
+For many trials, one matrix product in single precision gives all distances, with rounding errors that depend on the
+batch. They only select candidates, whose distances are computed again. Sealed trials are searched near each point only.
 """
 
 from __future__ import annotations
@@ -23,20 +21,20 @@ from crkr.protocol import Array
 
 __all__ = ["Neighbours", "nearest"]
 
-_COLUMNS: Final = 4  # for each neighbour wanted; their smallest entries bound its distance
-_FEW: Final = 16  # trials for each neighbour wanted, below which all are measured at once
-_CROWD: Final = 8  # candidates for each neighbour wanted, above which points are looked at one by one
-_MARGIN: Final = 8  # times the largest error of a rounded distance; four would do
+_COLUMNS: Final = 4  # columns for each neighbour; their smallest entries bound its distance
+_FEW: Final = 16  # trials per neighbour, below which all distances are exact
+_CROWD: Final = 8  # candidates per neighbour, above which points are searched one by one
+_MARGIN: Final = 8  # times the largest error of a rounded distance; four would suffice
 
 Rough = NDArray[np.floating[Any]]
 
 
 class Neighbours(NamedTuple):
-    """The k trials nearest to each of b points, the farthest of them last.
+    """The k trials nearest to each of b points, nearest first.
 
     Attributes:
-        rows: (s, b, k) which trials, for each of s groups.
-        D: (s, b, k, r) what leads to them.
+        rows: (s, b, k) rows of the trials, for each of s groups.
+        D: (s, b, k, r) differences to the point.
         squared: (s, b, k) its squared length.
     """
 
@@ -51,7 +49,7 @@ def nearest(trials: ObservedTrials, x: Array, groups: Sequence[int], count: int)
     Args:
         trials: What is searched.
         x: (b, r) points in the metric.
-        groups: Which groups; each was observed in at least `count` trials.
+        groups: The groups, each observed in at least `count` trials.
         count: k, at least 1.
     """
     if trials.sealed.units:
@@ -66,7 +64,7 @@ def _among_sealed(trials: ObservedTrials, x: Array, groups: Sequence[int], count
 
 
 def _around_one(trials: ObservedTrials, x: Array, groups: Sequence[int], count: int) -> Neighbours:
-    """The same for one point x (1, r), among the newest trials and those sealed ones that are probably near."""
+    """The same for one point x (1, r), among the unsealed trials and those sealed ones that are probably near."""
     r, squares = x.shape[1], np.vecdot(x, x)
     factors = np.zeros(trials.single.shape[1], dtype=np.float32)
     with np.errstate(over="ignore"):
@@ -103,16 +101,16 @@ def _among_many(trials: ObservedTrials, x: Array, groups: Sequence[int], count: 
     if s == len(x) == 1:
         found = _measured(trials, x, np.zeros_like(near), near, count)
     else:
-        points, rows = np.divmod(near, n)  # points of the first group, then those of the next
+        points, rows = np.divmod(near, n)  # grouped: all points of the first group, then of the next
         found = _each_measured(trials, np.concatenate([x] * s), points, rows, count)
     shape = s, -1, count
     return Neighbours(found.rows.reshape(shape), found.D.reshape(*shape, x.shape[1]), found.squared.reshape(shape))
 
 
 def _rough(trials: ObservedTrials, x: Array, squares: Array, groups: Sequence[int]) -> Rough:
-    """(s, b, n) squared distances less |x|^2; infinite where a trial does not count.
+    """(s, b, n) squared distances minus |x|^2; infinite for a trial without the group.
 
-    They are in double precision where numbers are too large for single.
+    In double precision where single would overflow.
     """
     b, r = x.shape
     if trials.fits_single and squares.max() <= LARGEST_SINGLE:
@@ -124,7 +122,7 @@ def _rough(trials: ObservedTrials, x: Array, squares: Array, groups: Sequence[in
         rough = np.empty((len(groups), b, len(trials)))
         np.matmul(-2.0 * x, trials.X.T, out=rough[0])
         rough[0] += np.vecdot(trials.X, trials.X)
-    for place, group in reversed(list(enumerate(groups))):  # the first last: the others start from it
+    for place, group in reversed(list(enumerate(groups))):  # the first group last, as the others start from it
         hidden = trials.hidden[group]
         if hidden is not None:
             np.add(rough[0], hidden, out=rough[place])
@@ -134,9 +132,9 @@ def _rough(trials: ObservedTrials, x: Array, squares: Array, groups: Sequence[in
 
 
 def _bound(rough: Rough, squares: Array, size: int, count: int) -> Rough:
-    """(s, b, 1) what no rough distance of the `count` nearest exceeds.
+    """(s, b, 1) upper bounds of the rough distances of the `count` nearest.
 
-    That many trials are as near as the smallest entries of as many columns say, and rounding is in proportion to
+    The smallest entries of `count` columns bound them, and rounding errors are proportional to
     |X|^2 + |x|^2 <= 2 |X - x|^2 + 3 |x|^2.
     """
     limits, columns = np.finfo(rough.dtype), _COLUMNS * count
@@ -144,23 +142,23 @@ def _bound(rough: Rough, squares: Array, size: int, count: int) -> Rough:
     least = rough[:, :, : rows * columns].reshape(*rough.shape[:2], rows, columns).min(axis=2)
     kth = np.partition(least, count - 1, axis=2)[:, :, count - 1].astype(np.float64)
     error = (size + 8) * float(limits.eps) * (np.maximum(kth + squares, 0.0) + squares) + float(limits.tiny)
-    bound = np.minimum(kth + _MARGIN * error, float(limits.max))  # never infinite, which would let hidden trials in
+    bound = np.minimum(kth + _MARGIN * error, float(limits.max))  # finite, so that hidden trials stay out
     return np.asarray(bound[:, :, None], dtype=rough.dtype)
 
 
 def _each_measured(trials: ObservedTrials, x: Array, points: Indices, rows: Indices, count: int) -> Neighbours:
     if len(rows) <= _CROWD * count * len(x):
         return _measured(trials, x, points, rows, count)
-    # Points so far away that all distances look the same: one at a time.
+    # Points so far away that all distances round alike: one at a time.
     each = zip(x, np.split(rows, np.cumsum(np.bincount(points))[:-1]), strict=True)
     alone = [_measured(trials, one[None], np.zeros_like(its), its, count) for one, its in each]
     return Neighbours(*map(np.concatenate, zip(*alone, strict=True)))
 
 
 def _measured(trials: ObservedTrials, x: Array, points: Indices, rows: Indices, count: int) -> Neighbours:
-    """The nearest of these rows to the points (ascending) beside them, by distances that depend on nothing else.
+    """The nearest of these rows to their points (ascending), by exact distances.
 
-    They come in the order of their distance, and of equal ones the older first.
+    Ordered by distance, the older first among equals.
     """
     D = trials.X[rows]
     D -= x if len(x) == 1 else x[points]

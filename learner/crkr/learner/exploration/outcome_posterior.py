@@ -1,11 +1,11 @@
-"""The goal that should hit, and how free it still is: a prior conditioned on the outcome by a Kalman update.
+"""The posterior over goals that hit the target: a prior conditioned on the outcome by a Kalman update.
 
-    m  (p,)  mean goal            s2  (p,)  variance it may be moved by      g  (p,)    goal that is expected to hit
-    o  (m,)  outcome at `where`   J  (m, p) its slope                        R  (m,)    variance of what o leaves out
+    m  (p,)  mean goal            s2  (p,)  prior variance      g  (p,)    goal expected to hit
+    o  (m,)  outcome at `where`   J  (m, p) its slope                        R  (m,)    variance around o
                                   S  (m, m) J diag(s2) J' + R                G  (p, m)  gain diag(s2) J' S^-1
 
-Every array has b rows in front, one for each state. Goals are in scales from the middle of their bounds, outcomes in
-tolerances from the target. A row of o and J that is zero says nothing.
+Every array has a leading axis of b states. Goals are in scales from the middle of their bounds, outcomes in tolerances
+from the target. A zero row of o and J carries no information.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ from crkr.protocol import Array
 
 __all__ = ["OutcomeLine", "Posterior", "condition", "condition_within"]
 
-_ROUNDING: Final = 1e-12  # of the largest variance, so that entries which say the same still factor
+_ROUNDING: Final = 1e-12  # of the largest variance, so that redundant entries still factor
 
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class OutcomeLine:
-    """The outcome as a straight line in the goal, at b states.
+    """The outcome linearised in the goal, at b states.
 
     Attributes:
-        where: (b, p) goals that it touches.
+        where: (b, p) goals where it is exact.
         o: (b, m) the outcome there.
         J: (b, m, p) its slope.
-        R: (b, m) variance of what it leaves out.
+        R: (b, m) variance around the line.
     """
 
     where: Array
@@ -69,8 +69,8 @@ class Posterior:
     def deviations(self, normal: Array) -> Array:
         """Deviations (b, a, p) from g with covariance P', of standard normal numbers (b, a, p + m).
 
-        A draw of the prior is conditioned on a drawn error of the outcome, which needs no factor of P' and is right
-        where P' has none.
+        Conditions a draw of the prior on a drawn error of the outcome. This needs no factor of P', which may be
+        singular.
         """
         p = self.g.shape[1]
         prior = normal[..., :p] * self.spread[:, None]
@@ -84,7 +84,7 @@ class Posterior:
         return Posterior(*(part[which] for part in (self.g, self.spread, self.J, self.G, self.R)))
 
     def put(self, which: Indices, other: Posterior) -> None:
-        """Replaces some of the states by those of `other`."""
+        """Replaces the rows of some states by those of `other`."""
         for own, new in ((self.g, other.g), (self.J, other.J), (self.G, other.G), (self.R, other.R)):
             own[which] = new
 
@@ -109,7 +109,7 @@ def condition(mean: Array, spread: Array, line: OutcomeLine) -> Posterior:
 
 
 def condition_within(mean: Array, spread: Array, line: OutcomeLine, scales: OutcomeScales) -> Posterior:
-    """The same with a mean within the bounds: what sticks out is held at its bound, and the rest makes up for it."""
+    """The same with a mean within the bounds: coordinates outside are fixed at their bound, and the others adapt."""
     posterior = condition(mean, spread, line)
     g = scales.within(posterior.g)
     beyond = g != posterior.g

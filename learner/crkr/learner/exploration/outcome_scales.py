@@ -1,4 +1,4 @@
-"""Units of the outcome model: trials as points in which one step matters about as much in every direction."""
+"""Units of the outcome model: coordinates in which one step matters about equally in every direction."""
 
 from __future__ import annotations
 
@@ -15,27 +15,27 @@ from crkr.protocol import Array, TaskSpec
 __all__ = ["GOAL_SHARE", "OutcomeScales"]
 
 GOAL_SHARE: Final = 0.5  # a goal's scale counts as half a length-scale of the state
-_FARTHEST: Final = 1e50  # as of standardised states: squares and products stay finite
+_FARTHEST: Final = 1e50  # like standardised states: squares and products stay finite
 _SIDES: Final = {"equal": 0.0, "at_least": 1.0, "at_most": -1.0}
-_LARGEST: Final = 1e6  # tolerances; a measurement farther off says no more than this one
+_LARGEST: Final = 1e6  # tolerances; larger misses count as this one
 
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class OutcomeScales:
-    """What a task as created says about states, goals and outcomes. Make it with `of`.
+    """Scales of states, goals and outcomes, from the task as created. Make it with `of`.
 
     Attributes:
         metric: Standardises states by the creation length-scales, or by a quarter of the box where that is shorter:
-            a kernel's may be long, but a straight line is fitted to what is near.
+            the kernel's may be long, but a line is fitted to near trials.
         middle: (p,) midpoints of the goal bounds [units of the goal].
         scales: (p,) scales of the goals [units of the goal].
         low: (p,) lowest goals in scaled form.
         high: (p,) highest goals in scaled form.
         target: (q,) [units of the outcome].
         tolerance: (q,) [units of the outcome].
-        groups: For each group of entries that are observed together, which they are.
-        one_sided: (q,) +1 for entries that may exceed their target, -1 for those that may fall short of it, else 0.
+        groups: Entries of each group that is observed together.
+        one_sided: (q,) +1 for entries that may exceed their target, -1 for entries that may fall short of it, else 0.
     """
 
     metric: Kernel
@@ -50,7 +50,7 @@ class OutcomeScales:
 
     @classmethod
     def of(cls, spec: TaskSpec) -> OutcomeScales:
-        """Those of a task."""
+        """The scales of a task."""
         low, high = spec.bounds
         quarters = [axis.high / 4 - axis.low / 4 for axis in spec.state]
         middle = low / 2 + high / 2
@@ -68,15 +68,15 @@ class OutcomeScales:
         )
 
     def scaled(self, goals: Array) -> Array:
-        """Goals (..., p) in scales from the midpoint, moved into the bounds."""
+        """Goals (..., p) in scales from the midpoint, clipped to the bounds."""
         return self.within((goals - self.middle) / self.scales)
 
     def within(self, scaled: Array) -> Array:
-        """Scaled goals (..., p) moved into the bounds."""
+        """Scaled goals (..., p), clipped to the bounds."""
         return np.minimum(np.maximum(scaled, self.low), self.high)
 
     def points(self, states: Array, goals: Array) -> Array:
-        """Trials (n, d + p) in the metric that says which are near, of states (n, d) and goals (n, p)."""
+        """Trials (n, d + p) in the metric for distances, from states (n, d) and goals (n, p)."""
         return np.concatenate([self.metric.standardise(states), GOAL_SHARE * self.scaled(goals)], axis=-1)
 
     def deviations(self, outcomes: Array) -> Array:
@@ -85,7 +85,7 @@ class OutcomeScales:
             return np.clip((outcomes - self.target) / self.tolerance, -_LARGEST, _LARGEST)
 
     def observed(self, outcomes: Array) -> NDArray[np.bool_]:
-        """(n, groups) which groups of outcomes (n, q) were observed, all of their entries."""
+        """(n, groups) whether all entries of each group of outcomes (n, q) were observed."""
         seen = ~np.isnan(outcomes)
         return np.stack([seen[:, entries].all(axis=1) for entries in self.groups], axis=1)
 

@@ -1,8 +1,8 @@
-"""What each trial was expected to do before it was learned from: prequential predictions [Dawid1984].
+"""Predictions for each trial before it was learned from: prequential predictions [Dawid1984].
 
-They say how far the outcome model may be believed: a success curve and the spread of predicted outcomes are fitted to
-them, and a change of the robot shows in their residuals. A trial's prediction rests on the trials before it in the log
-only, so that it does not matter how trials were grouped on their way here.
+They calibrate the outcome model: a success curve and the spread of predicted outcomes are fitted to them, and their
+residuals show a change of the robot. A trial's prediction depends on earlier trials of the log only, so the grouping of
+reports does not matter.
 """
 
 from __future__ import annotations
@@ -27,18 +27,18 @@ _Step = tuple[ObservedTrials, ObservedTrials]
 _KEPT: Final = 400
 _FITTED: Final = 200  # newest trials that the calibration is fitted to
 _EVERY: Final = 10  # trials between two fits of it
-LOOKED_BACK: Final = _FITTED + _EVERY  # trials that decide the present calibration
+LOOKED_BACK: Final = _FITTED + _EVERY  # trials that decide the current calibration
 _PRIOR: Final = np.array([2.0, 1.0, 0.0, 1.0])  # of the curve's weights
 _SPREAD: Final = 1.5
-_FEWEST: Final = 20  # residuals of an entry, below which its standard deviation is taken as it is
+_FEWEST: Final = 20  # residuals of an entry; with fewer, its standard deviation is not calibrated
 _NORMAL_90: Final = 1.6449
 _SPREADS: Final = (0.1, 10.0)
 
 # The CUSUM of the squared standardised residuals. Constants as in docs/outcomes.md.
 _RESIDUAL_NOISE: Final = 0.05
 _LARGEST: Final = 9.0
-_NEWEST: Final = 20  # not part of what is usual
-_SETTLED: Final = 10  # of what is usual, before which nothing is watched
+_NEWEST: Final = 20  # newest residuals, left out of the usual level
+_SETTLED: Final = 10  # residuals of the usual level before the watch begins
 _ALLOWANCE: Final = 1.5
 _LEAST_USUAL: Final = 0.5
 _ALARM: Final = 12.0
@@ -47,11 +47,11 @@ _ALARM: Final = 12.0
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibration:
-    """How far the outcome model may be believed.
+    """The calibration of the outcome model.
 
     Attributes:
-        curve: Tells P(success) of what a goal is expected to lead to; None: not known yet.
-        spread: (q,) factors that calibrate the predicted standard deviations; None: they are taken as they are.
+        curve: P(success) of a predicted outcome; None: not known yet.
+        spread: (q,) factors on the predicted standard deviations; None: not calibrated.
     """
 
     curve: SuccessCurve | None = None
@@ -62,7 +62,7 @@ class Calibration:
         return self
 
     def advance(self, trials: int) -> bool:
-        """Whether it is worked out: True."""
+        """True: there is nothing left to compute."""
         del trials  # unused
         return True
 
@@ -72,8 +72,8 @@ class _Expected(NamedTuple):
 
     Attributes:
         features: (f,) of the success curve.
-        success: What it came to.
-        off: (q,) standardised residuals of the outcome's entries; NaN where none was predicted and observed.
+        success: Whether the trial succeeded.
+        off: (q,) standardised residuals of the outcome; NaN for entries not both predicted and observed.
     """
 
     features: Array
@@ -82,7 +82,7 @@ class _Expected(NamedTuple):
 
 
 def features(seen: Prospect) -> Array:
-    """(b, c, 4) what the success curve looks at."""
+    """(b, c, 4) features of the success curve."""
     spread = 1.0 + seen.variance
     missed, unsure = -0.5 * (seen.o**2 / spread).sum(axis=-1), -0.5 * np.log(spread).sum(axis=-1)
     return np.stack([np.ones_like(missed), missed, unsure, seen.executed], axis=-1)
@@ -90,38 +90,38 @@ def features(seen: Prospect) -> Array:
 
 @final
 class PrequentialRecord:
-    """The newest trials' expectations.
+    """Predictions and results of the newest trials.
 
     Args:
         settings: The task's `exploration`.
         scales: Its units.
-        count: Trials that came before, and are not looked at any more.
+        count: Earlier trials, no longer considered.
 
     Attributes:
-        calibration: What they say so far.
+        calibration: The calibration so far.
     """
 
     def __init__(self, settings: Exploration, scales: OutcomeScales, count: int = 0) -> None:
         self._settings, self._scales, self._count = settings, scales, count
         self._record: deque[_Expected] = deque(maxlen=_FITTED)
-        self._residuals: deque[float] = deque(maxlen=_KEPT)  # those that are known
+        self._residuals: deque[float] = deque(maxlen=_KEPT)  # known residuals only
         self._cusum = 0.0
         self.calibration = Calibration()
 
     def extend(self, each: Iterable[_Step]) -> None:
-        """Note trials: for each, those that it is predicted from, and the same with it as the last one."""
+        """Add trials, each as two snapshots: the trials that predict it, and the same with it as the last one."""
         for before, after in each:
             if not after.shown[-1]:
                 self._add(before, after)
 
     @property
     def drift_score(self) -> float:
-        """The CUSUM; above 12 the robot is taken to have changed."""
+        """The CUSUM; above 12 the robot counts as changed."""
         return self._cusum
 
     @property
     def drifted(self) -> bool:
-        """Whether the residuals say that the robot has changed."""
+        """Whether the residuals show that the robot has changed."""
         return self._cusum > _ALARM
 
     def _add(self, before: ObservedTrials, after: ObservedTrials) -> None:
@@ -151,7 +151,7 @@ class PrequentialRecord:
     def _watch(self, residual: float) -> None:
         self._residuals.append(residual)
         earlier = len(self._residuals) - _NEWEST
-        if earlier < _SETTLED:  # what a new model does not foresee is no change of the robot
+        if earlier < _SETTLED:  # errors of a young model do not show a change of the robot
             return
         usual = max(sum(islice(self._residuals, earlier)) / earlier, _LEAST_USUAL)
         self._cusum = max(0.0, self._cusum + residual - usual - _ALLOWANCE)
@@ -159,15 +159,15 @@ class PrequentialRecord:
 
 @final
 class DeferredCalibration:
-    """A calibration that is worked out when it is needed, as after a restart.
+    """A calibration that is computed when it is needed, as after a restart.
 
-    Threads that call `get` at the same moment may all work it out, each to the same numbers.
+    Threads that call `get` at the same moment may all compute it, with the same result.
 
     Args:
         settings: The task's `exploration`.
         scales: Its units.
-        count: Trials that came before the steps.
-        steps: What is noted, as `PrequentialRecord.extend` takes it.
+        count: Number of trials before the steps.
+        steps: The trials, as `PrequentialRecord.extend` takes them.
     """
 
     def __init__(self, settings: Exploration, scales: OutcomeScales, count: int, steps: Sequence[_Step]) -> None:
@@ -180,11 +180,11 @@ class DeferredCalibration:
         return self._finished()[1]
 
     def record(self) -> PrequentialRecord:
-        """The record behind it, for one caller, who may extend it: what `get` returns stays."""
+        """The record behind it, for one caller, who may extend it; the value of `get` stays the same."""
         return self._finished()[0]
 
     def advance(self, trials: int) -> bool:
-        """Note at most `trials` more trials; True once all are noted. For one thread at a time."""
+        """Add at most `trials` more trials; True once all are added. For one thread at a time."""
         if self._made is None:
             first, self._noted = self._noted, min(self._noted + trials, len(self._steps))
             self._record.extend(self._steps[first : self._noted])
@@ -205,9 +205,9 @@ class DeferredCalibration:
 
 
 def _spread(off: Array) -> Array:
-    """(q,) by which standard deviations are multiplied, so that nine of ten residuals (n, q) are within 1.645 of them.
+    """(q,) factors on standard deviations, so that nine of ten residuals (n, q) are within 1.645 of them.
 
-    That is split conformal prediction [Vovk2005] with the residuals of trials that were not learned from yet.
+    Split conformal prediction [Vovk2005] with the residuals of trials before they were learned from.
     """
     spread = np.ones(off.shape[1])
     for entry, values in enumerate(off.T):

@@ -1,13 +1,13 @@
-"""Trials that are not among the newest any more, in leaves of neighbours: looking through a few costs little.
+"""Older trials, sealed in leaves of neighbours of which a query searches only a few.
 
     P  (n, w)  trials in single precision, as `ObservedTrials.single`      c  (w,)  the mean of some of them
 
-Trials are sealed by units of `UNIT`. Two parts of the same number of units become one, as in a binary counter
-[Bentley1980], up to `_LARGEST` units: what is sealed after a number of trials depends on these trials only, and a
-replay searches the same leaves. A part is halved at the median of its widest side until leaves have `_LEAF` trials.
+Trials are sealed in units of `UNIT`. Two parts of the same number of units are merged, as in a binary counter
+[Bentley1980], up to `_LARGEST` units. The leaves depend on the trials only, so a replay searches the same ones. A part
+is halved at the median of its widest side until leaves have `_LEAF` trials.
 
-The nearest are looked for in the leaves whose mean is nearest, in those regions of one unit whose mean is nearest. That
-finds nearly all of them; in nineteen dimensions nothing finds all without looking at most trials.
+A query searches the leaves with the nearest means in the unit regions with the nearest means. This finds nearly all of
+the nearest trials; in nineteen dimensions no index finds all without a look at most trials.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ UNIT: Final = 8192
 _LEAF: Final = 128
 _LEAVES: Final = UNIT // _LEAF  # in a region of one unit
 _LARGEST: Final = 64  # units that are halved together
-_SAMPLE: Final = 128  # trials that tell which side of a part is the widest
-_REGIONS: Final = 24  # looked at for each point
+_SAMPLE: Final = 128  # trials that decide which side of a part is the widest
+_REGIONS: Final = 24  # searched for each point
 _LOOKED_AT: Final = 32  # leaves
-_FARTHEST: Final = 1e15  # coordinates; further ones count as these, so that squares stay finite
+_FARTHEST: Final = 1e15  # coordinates are clipped to this, so that squares stay finite
 
 Single = NDArray[np.float32]
 
@@ -42,9 +42,9 @@ class SealedTrials:
 
     Attributes:
         parts: Units in each part, the largest first.
-        rows: (units, leaves, *) which trials are in a leaf.
+        rows: (units, leaves, *) trials in each leaf.
         single: (units, leaves, *, w) their coordinates, squared length and some zeros.
-        means: (units, leaves, w) mean coordinates of a leaf, then half their squared length.
+        means: (units, leaves, w) mean coordinates of each leaf, then half their squared length.
         middles: (units, w) the same of a region.
     """
 
@@ -62,16 +62,16 @@ class SealedTrials:
 
     @property
     def units(self) -> int:
-        """How many are sealed."""
+        """Number of sealed trials."""
         return len(self.rows)
 
     def extended(self, single: Single, units: int, size: int) -> SealedTrials:
-        """These and the trials after them, up to some units in all.
+        """These and the next trials, `units` units in all.
 
         Args:
             single: (n, w) all trials so far, at least `units` x `UNIT`.
-            units: More than are sealed.
-            size: How many of the w columns are coordinates; the next is the squared length.
+            units: More than are sealed so far.
+            size: Number of columns that are coordinates; the next one is the squared length.
         """
         whole, rest = divmod(units, _LARGEST)
         parts = (_LARGEST,) * whole + tuple(1 << bit for bit in range(_LARGEST)[::-1] if rest >> bit & 1)
@@ -88,15 +88,15 @@ class SealedTrials:
         return SealedTrials(parts, *arrays)
 
     def around(self, factors: Single, size: int) -> tuple[Indices, Single]:
-        """Some thousand trials that are probably nearest to a point x: which, (c,), and their (c, w).
+        """Some thousand trials that are probably nearest to a point x: rows (c,) and coordinates (c, w).
 
         Args:
             factors: (w,) -2 x, then 1 and zeros.
-            size: How many of them are coordinates.
+            size: Number of coordinates among them.
         """
         towards = np.zeros_like(factors)
         towards[:size] = np.clip(0.5 * factors[:size], -_FARTHEST, _FARTHEST)
-        towards[size] = 1.0  # so that products are |c - x|^2 / 2, less |x|^2 / 2
+        towards[size] = 1.0  # so that products are |c - x|^2 / 2 - |x|^2 / 2
         regions = _least(self.middles @ towards, _REGIONS)
         leaves = _least((self.means[regions] @ towards).reshape(-1), _LOOKED_AT)
         where = regions[leaves // _LEAVES], leaves % _LEAVES
@@ -123,7 +123,7 @@ def _least(values: Single, count: int) -> Indices:
 
 
 def _halved(points: Single) -> Indices:
-    """(leaves, `_LEAF`) which points are together. Sorts are stable, so that every processor gives the same."""
+    """(leaves, `_LEAF`) points of each leaf. Sorts are stable, so that every processor gives the same."""
     order = np.arange(len(points))[None]
     while order.shape[1] > _LEAF:
         parts, count = order.shape

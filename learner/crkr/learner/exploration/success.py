@@ -1,4 +1,4 @@
-"""How likely a goal succeeds, by a logistic regression of what the newest trials were expected to do and what they did.
+"""Probability of success: logistic regression on predictions and results of the newest trials.
 
     F  (n, f)  features, the first of them 1      y  (n,)  1 for a success, else 0      w  (f,)  weights
 
@@ -25,7 +25,7 @@ __all__ = ["SuccessCurve", "SuccessRate"]
 _STEPS: Final = 25
 _STILL: Final = 1e-9
 _MORE_TRIALS: Final = 2.0
-_LARGEST: Final = 30.0  # of a feature; a trial further off says no more
+_LARGEST: Final = 30.0  # largest feature
 
 
 @final
@@ -46,8 +46,8 @@ class SuccessCurve:
         Args:
             features: (n, f); n may be 0.
             success: (n,).
-            prior: (f,) weights that are expected.
-            spread: Standard deviation of the weights around these.
+            prior: (f,) prior mean of the weights.
+            spread: Prior standard deviation of the weights.
         """
         F, y, w = bounded(features), success.astype(np.float64), prior.copy()
         precision = np.eye(len(prior)) / spread**2
@@ -55,7 +55,7 @@ class SuccessCurve:
             chance = expit(F @ w)
             gradient = F.T @ (y - chance) - precision @ (w - prior)
             step = np.linalg.solve((F * (chance * (1.0 - chance))[:, None]).T @ F + precision, gradient)
-            w = w + step / max(1.0, float(np.abs(step).max()))  # far steps overshoot where the curve saturates
+            w = w + step / max(1.0, float(np.abs(step).max()))  # limits steps where the curve saturates
             if np.abs(step).max() < _STILL:
                 break
         w.setflags(write=False)
@@ -69,13 +69,13 @@ class SuccessCurve:
 @final
 @dataclass(frozen=True, eq=False)
 class SuccessRate:
-    """How often the newest trials succeeded in states near by; for tasks whose outcomes are not modelled.
+    """Success rate of the newest trials in nearby states; for tasks without an outcome model.
 
-    All it needs is made when first asked for, as a step is often followed by another before any question.
+    Everything is computed at the first use, as there are often several steps between two questions.
 
     Attributes:
-        newest: Gives (n, d) states of the newest trials, n >= 1, and (n,) 1 for a success, else 0.
-        kernel: Standardises the states; None: they are already.
+        newest: Returns states (n, d) of the newest trials, n >= 1, and (n,) 1 for a success, else 0.
+        kernel: Standardises the states; None if they are standardised already.
     """
 
     newest: Callable[[], tuple[Array, Array]]
@@ -84,7 +84,7 @@ class SuccessRate:
     def at(self, z: Array) -> Array:
         """P(success) () or (b,) of a trial at standardised states (d,) or (b, d).
 
-        A mean weighted by the squared-exponential kernel, drawn towards the mean of all as if by two more trials.
+        A mean weighted by the squared-exponential kernel, shrunk towards the overall mean by the weight of two trials.
         """
         half_squares, sums, more = self._terms
         exponents = z @ self.standardised.T
@@ -93,8 +93,8 @@ class SuccessRate:
         near = np.exp(np.minimum(exponents, 0.0, out=exponents), out=exponents)  # above 0 by rounding alone
         weighed = near @ sums
         if z.ndim == 1:
-            hits, count = weighed.tolist()  # floats take a third of the time
-            return np.array(min((hits + more) / (count + _MORE_TRIALS), 1.0))  # which rounding exceeds by a bit
+            hits, count = weighed.tolist()  # Python floats take a third of the time
+            return np.array(min((hits + more) / (count + _MORE_TRIALS), 1.0))  # rounding may exceed the bound
         return np.asarray(np.minimum((weighed[:, 0] + more) / (weighed[:, 1] + _MORE_TRIALS), 1.0))
 
     @cached_property
@@ -114,11 +114,11 @@ class SuccessRate:
 
     @cached_property
     def _terms(self) -> tuple[Array, Array, float]:
-        """Half the squares of the states (n,), what is summed up (n, 2), and the successes of the trials added."""
+        """Half the squared states (n,), the summands (n, 2), and the successes of the added trials."""
         sums = np.stack((self.success, np.ones(len(self.success))), axis=1)
         return 0.5 * vecdot(self.standardised, self.standardised), sums, _MORE_TRIALS * float(self.success.mean())
 
 
 def bounded(features: Array) -> Array:
-    """Features within what the regression can tell apart."""
+    """Features, clipped to the range of the regression."""
     return np.clip(np.nan_to_num(features, nan=0.0, posinf=_LARGEST, neginf=-_LARGEST), -_LARGEST, _LARGEST)

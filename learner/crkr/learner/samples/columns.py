@@ -1,4 +1,4 @@
-"""Many trials at once, as columns: what a log reads quicker than trial by trial."""
+"""Many trials as columns, which a log reads faster than trial by trial."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ __all__ = ["TrialColumns"]
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class TrialColumns:
-    """n trials that were checked when they were first reported, in the order of the log.
+    """n trials, checked when they were first reported, in log order.
 
     Attributes:
         seqs: (n,) log positions, ascending.
@@ -25,10 +25,10 @@ class TrialColumns:
         digests: 16 n bytes, as `Trial.digest` gives them.
         states: (n, d) [units of the state].
         goals: (n, p) [units of the goal].
-        costs: (n,) as reported, NaN where there is none.
+        costs: (n,) as reported, NaN without a cost.
         kinds: (n,) positions in `KINDS`.
         flags: (n,) `success` and `learn`, as `Trial.flags` gives them.
-        outcomes: (n, q) as reported, NaN where not observed; None will do for a task that does not learn from them.
+        outcomes: (n, q) as reported, NaN where not observed; may be None if the task does not learn from them.
 
     Raises:
         Invalid: Columns of different lengths.
@@ -55,7 +55,7 @@ class TrialColumns:
         return len(self.seqs)
 
     def where(self, mask: NDArray[np.bool_]) -> TrialColumns:
-        """Those of the trials that a mask (n,) names."""
+        """The trials of a mask (n,)."""
         ids, digests = (np.frombuffer(data, "V16")[mask].tobytes() for data in (self.ids, self.digests))
         states, goals, costs = self.states[mask], self.goals[mask], self.costs[mask]
         outcomes = None if self.outcomes is None else self.outcomes[mask]

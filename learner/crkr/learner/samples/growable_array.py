@@ -16,10 +16,10 @@ _FIRST_CAPACITY: Final = 64
 class Growable:
     """Rows of one shape and type, contiguous in memory.
 
-    Capacity doubles; pages that no row has touched cost no memory.
+    Capacity doubles; untouched pages cost no memory.
 
     Attributes:
-        rows: View (n, ...) of the rows held; stale after the next append.
+        rows: View (n, ...) of the rows; stale after the next append.
     """
 
     __slots__ = ("_buffer", "rows")
@@ -47,12 +47,12 @@ class Growable:
         self.rows = self._buffer[: count + len(added)]
 
     def replace(self, values: ArrayLike) -> None:
-        """Forgets all rows and takes copies of these."""
+        """Replaces all rows by copies of these."""
         self.rows = self._buffer[:0]
         self.extend(values)
 
     def detach(self) -> None:
-        """Copies the rows: views that were given out keep what they show."""
+        """Copies the rows, so that earlier views stay unchanged."""
         self._buffer = self._buffer.copy()
         self.rows = self._buffer[: len(self.rows)]
 

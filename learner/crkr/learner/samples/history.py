@@ -1,4 +1,4 @@
-"""The newest trials at one moment, looked through only when somebody asks."""
+"""All trials at one moment, searched only on demand."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from crkr.protocol import KINDS, Array
 
 __all__ = ["WINDOW", "SuccessTrend", "TrialHistory"]
 
-WINDOW: Final = 200  # trials that "newest" means
+WINDOW: Final = 200  # newest trials
 _TRIAL: Final = KINDS.index("trial")
 _TRIED: Final = np.array([kind in {"trial", "failed"} for kind in KINDS])
 _JUDGED: Final = np.array([kind == "evaluation" for kind in KINDS])
 
 
 class SuccessTrend(NamedTuple):
-    """How often trials succeeded lately.
+    """Recent success rates.
 
     Attributes:
-        trials: Newest trials looked at, executed or refused; at most `WINDOW`.
+        trials: Number of newest trials, executed or refused; at most `WINDOW`.
         rate: Share of these that succeeded; None without any.
-        before: Share of as many trials before them; None where there are fewer.
+        before: Share of as many earlier trials; None if there are fewer.
         evaluated: Newest trials of kind evaluation; at most `WINDOW`.
         evaluation_rate: Share of these that succeeded; None without any.
     """
@@ -40,17 +40,17 @@ class SuccessTrend(NamedTuple):
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class TrialHistory:
-    """Views of all stored trials, oldest first: making one costs nothing, and another thread may read it.
+    """Views of all stored trials, oldest first; cheap to make, and safe to read from other threads.
 
     Attributes:
         seqs: (n,) log positions.
         states: (n, d) [units of the state].
         goals: (n, p) [units of the goal].
         outcomes: (n, q) [units of the outcome]; q is 0 where the task does not learn from them.
-        costs: (n,) NaN where there is none.
+        costs: (n,) NaN without a cost.
         kinds: (n,) positions in `KINDS`.
         flags: (n,) as `Trial.flags`.
-        removed: (n,) which were taken out of learning.
+        removed: (n,) whether removed from learning.
     """
 
     seqs: Indices
@@ -64,7 +64,7 @@ class TrialHistory:
 
     @property
     def any_tried(self) -> bool:
-        """Whether a trial, executed or refused, is not removed; the newest one tells it most quickly."""
+        """Whether there is a trial, executed or refused, that is not removed; checks the newest first."""
         newest = len(self.seqs) > 0 and bool(_TRIED[self.kinds[-1]]) and not self.removed[-1]
         return newest or len(self.newest_tried(1)) > 0
 
@@ -73,16 +73,16 @@ class TrialHistory:
         return self._newest(_TRIED, count)
 
     def executed(self, rows: Indices) -> NDArray[np.bool_]:
-        """Which of these rows are trials whose goal was executed."""
+        """Rows among these whose goal was executed."""
         executed: NDArray[np.bool_] = self.kinds[rows] == _TRIAL
         return executed
 
     def successes(self, rows: Indices) -> NDArray[np.bool_]:
-        """Which of these rows did what was wanted."""
+        """Rows among these that succeeded."""
         return (self.flags[rows] & 1).astype(np.bool_)
 
     def trend(self) -> SuccessTrend:
-        """Success of the newest trials, of those before, and of the newest evaluations."""
+        """Success rates of the newest trials, of those before, and of the newest evaluations."""
         tried, judged = self.newest_tried(2 * WINDOW), self._newest(_JUDGED, WINDOW)
         newest, before = tried[-WINDOW:], tried[:-WINDOW]
         earlier = self._rate(before) if len(before) == WINDOW else None

@@ -1,4 +1,4 @@
-"""From a trial's id to its row, in a dozen bytes a trial: a Python dict would take ten times that.
+"""Maps trial ids to rows in a dozen bytes per trial, a tenth of a Python dict.
 
 Open addressing with linear probing; a slot holds a row number or -1. The ids themselves stay where they are stored.
 """
@@ -31,20 +31,20 @@ class IdIndex:
         self._count = 0
 
     def find(self, words: tuple[int, int], ids: NDArray[np.uint64]) -> int | None:
-        """Row of this id, or None."""
+        """Row of an id, or None."""
         slot = self._probe(words, ids)
         row = int(self._slots[slot])
         return None if row < 0 else row
 
     def add(self, row: int, ids: NDArray[np.uint64]) -> None:
-        """Enters `row`, whose id is not in the table yet."""
+        """Adds `row`, whose id is not in the table yet."""
         if 2 * (self._count + 1) > len(self._slots):
             self._grow(ids[: self._count])
         self._slots[self._probe((int(ids[row, 0]), int(ids[row, 1])), ids)] = row
         self._count += 1
 
     def extend(self, ids: NDArray[np.uint64]) -> int | None:
-        """Enters the rows of `ids` past those in the table; a row whose id is there already, or None."""
+        """Adds the rows of `ids` past those in the table; returns a row with a known id, or None."""
         first = self._count
         size = len(self._slots)
         while 2 * len(ids) > size:
@@ -61,7 +61,7 @@ class IdIndex:
         return ((spread ^ spread >> 32) * _MULTIPLIER % _WORD) >> 32 & (len(self._slots) - 1)
 
     def _probe(self, words: tuple[int, int], ids: NDArray[np.uint64]) -> int:
-        """The slot that holds this id, or the free one where it belongs."""
+        """The slot of this id, or the free slot where it belongs."""
         mask = len(self._slots) - 1
         slot = self.home(words)
         while (row := self._slots[slot]) >= 0 and (ids[row, 0] != words[0] or ids[row, 1] != words[1]):
@@ -69,12 +69,12 @@ class IdIndex:
         return slot
 
     def _grow(self, ids: NDArray[np.uint64]) -> None:
-        """Twice the slots, all rows entered anew."""
+        """Doubles the slots and adds all rows again."""
         self._slots = np.full(2 * len(self._slots), -1, dtype=np.int32)
         self._enter(np.arange(len(ids), dtype=np.int32), ids)
 
     def _enter(self, rows: NDArray[np.int32], ids: NDArray[np.uint64]) -> int | None:
-        """Enters rows at once: those that lose a slot to another try the next. A row whose id comes twice ends it."""
+        """Adds many rows: a row that loses its slot to another tries the next. Stops at a row with a repeated id."""
         mask = np.uint64(len(self._slots) - 1)
         multiplier, half = np.uint64(_MULTIPLIER), np.uint64(32)
         spread = ids[rows, 0] + ids[rows, 1] * multiplier

@@ -1,4 +1,4 @@
-"""Every trial that was ever reported, as columns: some 220 bytes a trial at d = 6, p = 13, and 8 an outcome."""
+"""Every reported trial, in columns: some 220 bytes per trial at d = 6, p = 13, and 8 per outcome."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ class Review:
 
     Attributes:
         fresh: Positions in the report of the trials to store, in order.
-        known: For each trial the log position it was stored under, or None.
-        same_as: For each trial the position in the report of the first one with its id; usually its own.
+        known: Log position of each trial that is stored already, else None.
+        same_as: Position in the report of the first trial with the same id, usually its own.
     """
 
     fresh: tuple[int, ...]
@@ -47,7 +47,7 @@ class Review:
     same_as: tuple[int, ...]
 
     def seqs(self, first: int) -> tuple[int, ...]:
-        """Log positions in the order of the report, if the fresh trials are stored from `first` on."""
+        """Log positions in report order, if the new trials are stored from `first` on."""
         given = {position: first + count for count, position in enumerate(self.fresh)}
         return tuple(
             known if known is not None else given[same] for known, same in zip(self.known, self.same_as, strict=True)
@@ -56,12 +56,12 @@ class Review:
 
 @final
 class SampleStore:
-    """Columns of trials in the order of their log positions; rows are numbered from 0 and never move.
+    """Columns of trials in log order; rows are numbered from 0 and never move.
 
     Args:
         dimensions: d.
         outputs: p.
-        outcomes: q, or 0 where outcomes are not learned from and need not be kept.
+        outcomes: q; 0 if outcomes are not learned from.
     """
 
     def __init__(self, dimensions: int, outputs: int, outcomes: int = 0) -> None:
@@ -99,7 +99,7 @@ class SampleStore:
 
     @property
     def costs(self) -> Array:
-        """(n,) present costs; NaN where there is none."""
+        """(n,) current costs; NaN without one."""
         return self._costs.rows
 
     @property
@@ -109,7 +109,7 @@ class SampleStore:
 
     @property
     def removed(self) -> NDArray[np.bool_]:
-        """(n,) which trials were taken out of learning."""
+        """(n,) whether removed from learning."""
         return self._removed.rows
 
     def append(self, seq: int, trial: Trial) -> int:
@@ -130,10 +130,10 @@ class SampleStore:
         return row
 
     def extend(self, columns: TrialColumns) -> int | None:
-        """Stores trials whose ids are new; a row whose id was there already, or None. The store is spoilt then.
+        """Stores trials with new ids; returns None, or a row with a known id, after which the store is unusable.
 
         Raises:
-            Invalid: No outcomes where they are learned from.
+            Invalid: Outcomes are missing and learned from.
         """
         if self._keeps_outcomes:
             if columns.outcomes is None:
@@ -158,7 +158,7 @@ class SampleStore:
         return self._index.find(id_words(trial_id.bytes), self._ids.rows)
 
     def rows_of(self, ids: Sequence[UUID]) -> list[int]:
-        """Rows of trials that must be there.
+        """Rows of stored trials.
 
         Raises:
             Invalid: An id that was never reported.
@@ -171,10 +171,10 @@ class SampleStore:
         return [row for row in rows if row is not None]
 
     def review(self, trials: Sequence[Trial]) -> Review:
-        """Which of a report's trials are new, without storing them.
+        """Finds the new trials of a report, without storing them.
 
         Raises:
-            Conflict: An id comes with other content than before.
+            Conflict: A known id with other content.
         """
         first: dict[UUID, int] = {}
         fresh, known, same_as = [], [], []
@@ -193,7 +193,7 @@ class SampleStore:
         return Review(tuple(fresh), tuple(known), tuple(same_as))
 
     def original(self, trial: Trial) -> int | None:
-        """Row of the same trial reported before, or None; raises `Conflict` where its id has other content."""
+        """Row of the same trial, or None; raises `Conflict` if its id has other content."""
         row = self.find(trial.id)
         if row is not None and tuple(self._digests.rows[row].tolist()) != id_words(trial.digest()):
             raise Conflict(
@@ -208,29 +208,29 @@ class SampleStore:
         return [UUID(bytes=stream[start : start + 16]) for start in range(0, len(stream), 16)]
 
     def eligible(self, rows: Indices, learn_from: str) -> NDArray[np.bool_]:
-        """Which of these rows may be learned from: demonstrations, and the trials that say so or `learn_from` names."""
+        """Which of these rows may be learned from: demonstrations, and trials chosen by `learn` or `learn_from`."""
         kinds, flags = self._kinds.rows[rows], self._flags.rows[rows]
         tried = (kinds == _TRIAL) & _MAY_LEARN[learn_from][flags]
         eligible: NDArray[np.bool_] = (tried | (kinds == _DEMONSTRATION)) & ~self._removed.rows[rows]
         return eligible
 
     def tried(self, rows: Indices) -> NDArray[np.bool_]:
-        """Which of these rows may tell what a goal leads to: all but the judged and the removed ones."""
+        """Which of these rows show what a goal leads to: all but evaluations and removed ones."""
         judged = self._kinds.rows[rows] == _EVALUATION
         tried: NDArray[np.bool_] = ~(judged | self._removed.rows[rows])
         return tried
 
     def refused(self, rows: Indices) -> NDArray[np.bool_]:
-        """Which of these rows are goals that were refused or could not be measured (kind "failed")."""
+        """Which of these rows were refused or could not be measured (kind "failed")."""
         refused: NDArray[np.bool_] = self._kinds.rows[rows] == _FAILED
         return refused
 
     def successes(self, rows: Indices) -> NDArray[np.bool_]:
-        """Which of these rows did what was wanted."""
+        """Which of these rows succeeded."""
         return (self._flags.rows[rows] & 1).astype(np.bool_)
 
     def history(self) -> TrialHistory:
-        """All trials of this moment, as views; later changes of costs and outcomes show in it, nothing else does."""
+        """Views of all present trials; later changes show in them for costs and outcomes only."""
         self._given = True
         return TrialHistory(
             self._seqs.rows,
@@ -244,7 +244,7 @@ class SampleStore:
         )
 
     def count_tried(self, rows: Indices) -> int:
-        """How many of these rows are trials, executed or refused."""
+        """Number of trials among these rows, executed or refused."""
         kinds = self._kinds.rows[rows]
         return int(np.count_nonzero((kinds == _TRIAL) | (kinds == _FAILED)))
 
@@ -258,16 +258,16 @@ class SampleStore:
         return demonstrated
 
     def counts(self) -> dict[str, int]:
-        """How many trials of each kind are stored, removed ones too."""
+        """Number of stored trials by kind, removed ones too."""
         found = np.bincount(self._kinds.rows, minlength=len(KINDS))
         return {kind: int(count) for kind, count in zip(KINDS, found, strict=True)}
 
     def recost(self, row: int, cost: float) -> None:
-        """Changes the present cost; what was reported stays what duplicates are compared with."""
+        """Changes the current cost; duplicates are still compared with the reported one."""
         self._costs.rows[row] = cost
 
     def amend(self, row: int, values: Mapping[str, Any]) -> None:
-        """Changes what stands in `AMENDABLE`, and `removed`; the id and its digest stay."""
+        """Changes the columns of `AMENDABLE`, and `removed`; id and digest stay."""
         self._detach()
         self._costs.rows[row] = np.nan if values["cost"] is None else values["cost"]
         self._flags.rows[row] = flags_of(values["success"], values["learn"])
@@ -277,12 +277,12 @@ class SampleStore:
             self._outcomes.rows[row] = np.nan if values["outcome"] is None else values["outcome"]
 
     def remove(self, row: int) -> None:
-        """Takes a trial out of learning."""
+        """Removes a trial from learning."""
         self._detach()
         self._removed.rows[row] = True
 
     def _detach(self) -> None:
-        """Before a change: histories keep what they show."""
+        """Copies columns before a change, so that histories stay unchanged."""
         if self._given:
             for column in (self._kinds, self._flags, self._removed):
                 column.detach()

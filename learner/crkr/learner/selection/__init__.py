@@ -1,1 +1,1 @@
-"""Rules that choose the active samples: Adaptive Non-Maximal Suppression and what it is compared with."""
+"""Rules that choose the active samples: Adaptive Non-Maximal Suppression and simpler ones."""

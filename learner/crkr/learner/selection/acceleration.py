@@ -1,8 +1,7 @@
-"""The compiled form of the selection, where it is installed and was loaded.
+"""The compiled selection, once it is loaded.
 
-It needs numba, the extra `fast`. Loading takes about a second, and compiling before that some ten seconds, once a
-machine and version; so it is asked for, never done on the way. Without it selection is the same, only slower once
-samples are many.
+It needs numba, the extra `fast`. Loading takes about a second, and compiling some ten seconds, once per machine and
+version; so a program must ask for it. Without it the selection is the same, but slow for many samples.
 """
 
 from __future__ import annotations
@@ -31,10 +30,9 @@ def accelerable() -> bool:
 
 
 def accelerate() -> bool:
-    """Load the compiled selection, which all learners of this process use from then on; False without numba.
+    """Load the compiled selection for all learners of this process; False without numba.
 
-    Compiles it first where this machine has not yet, into the user's cache (NUMBA_CACHE_DIR, if set). Any thread may
-    call it; others are not held up by more than the interpreter's lock.
+    Compiles it first if needed, into the user's cache (NUMBA_CACHE_DIR, if set). Any thread may call it.
     """
     if not accelerable():
         return False
@@ -42,7 +40,7 @@ def accelerate() -> bool:
         from crkr.learner.selection.tree_radii import TreeRadii
 
         radii, Z, costs = TreeRadii(1), np.array([[0.0], [1.0], [2.0]]), np.array([0.1, 0.2, 0.3])
-        radii.extend(Z, costs)  # every function once, which compiles it or loads it
+        radii.extend(Z, costs)  # calls every function once, which compiles or loads it
         radii.recost(np.array([0]), np.array([0.4]))
         radii.remove(np.array([1]))
         radii.rebuild(Z, costs, None)

@@ -1,8 +1,8 @@
-"""Adaptive Non-Maximal Suppression, kept exact while samples come, go and change cost.
+"""Adaptive Non-Maximal Suppression, exact while samples come, go and change cost.
 
-A radius depends on better samples only, so that a change concerns few others. Two forms keep the radii, with the same
-bits: a pass over all samples, and from `TREE_FROM` samples on a priority k-d tree, where its compiled code is loaded
-(see `accelerate`). Density-peak clustering keeps the same quantity, the dependent distance, while its data change
+A radius depends on better samples only, so a change affects few others. Two structures compute the same radii: a pass
+over all samples, and from `TREE_FROM` samples on a priority k-d tree, if its compiled code is loaded (see
+`accelerate`). Density-peak clustering maintains the same quantity, the dependent distance, over changing data
 [Amagata2023].
 """
 
@@ -27,7 +27,7 @@ TREE_FROM: Final = 2000  # samples, from which on the tree is the quicker form
 class SuppressionRadii(Protocol):
     """Radii and suppressors of numbered samples.
 
-    Methods that change samples return the numbers of those whose radius may be another now, or None for all.
+    Methods that change samples return the numbers of those whose radius may have changed, or None for all.
     """
 
     @property
@@ -47,7 +47,7 @@ class SuppressionRadii(Protocol):
         """Add samples."""
 
     def remove(self, gone: Indices) -> Indices | None:
-        """Forget samples, each named once; those they suppressed find other suppressors."""
+        """Remove samples, each named once; those they suppressed find other suppressors."""
 
     def recost(self, changed: Indices, costs: Array) -> Indices | None:
         """Change costs of samples, each named once."""
@@ -58,7 +58,7 @@ class SuppressionRadii(Protocol):
 
 @final
 class Anms:
-    """Algorithm 2 of [Cardoso2017], incrementally: after any sequence of calls the active set is the batch algorithm's.
+    """Algorithm 2 of [Cardoso2017], incremental: after any sequence of calls the active set is the batch algorithm's.
 
     Args:
         dimensions: d.
@@ -82,7 +82,7 @@ class Anms:
         self._choose(self._radii.extend(Z, costs))
 
     def remove(self, indices: Indices | int) -> None:
-        """Forget samples; those they suppressed find other suppressors."""
+        """Remove samples; those they suppressed find other suppressors."""
         self._accelerate()
         self._choose(self._radii.remove(np.atleast_1d(indices)))
 
@@ -99,12 +99,12 @@ class Anms:
         self._reserve.reset(self._radii.r2)
 
     def set_budget(self, budget: int) -> None:
-        """Selects anew with another k; radii do not depend on it."""
+        """Change k and select again; radii do not depend on k."""
         self._reserve = Reserve(budget)
         self._reserve.reset(self._radii.r2)
 
     def standing(self, index: int) -> Standing:
-        """The suppressor and the radius; neither for the best sample, nor for a removed one."""
+        """The suppressor and the radius; None for the best sample and for a removed one."""
         suppressor = int(self._radii.suppressors[index])
         return Standing(None, None) if suppressor < 0 else Standing(suppressor, float(np.sqrt(self._radii.r2[index])))
 
@@ -116,7 +116,7 @@ class Anms:
         return Radii(self._radii.r2[alive], np.where(suppressor < 0, -1, position[suppressor]))
 
     def _accelerate(self) -> None:
-        """Change to the tree once it pays and its code is loaded."""
+        """Change to the tree once it is faster and its code is loaded."""
         few = len(self._radii) < self._tree_from
         if not few and isinstance(self._radii, EagerRadii) and (tree := tree_radii()) is not None:
             (Z, costs), known, self._radii = self._radii.samples(), self.radii(), tree(self._dimensions)

@@ -1,10 +1,10 @@
 """Adaptive Non-Maximal Suppression of a whole set at once [Cardoso2017, alg. 2].
 
     Z  (n, d)  standardised states, oldest first      r2  (n,)  squared suppression radii
-    c  (n,)    costs                                  suppressor  (n,)  who sets the radius; -1 for the best
+    c  (n,)    costs                                  suppressor  (n,)  sample that sets the radius; -1 for the best
 
-A sample's radius is its distance to the nearest better one; the best has none better, so its radius is infinite. Better
-means a lower cost, or the same cost and older. The k samples of largest radius are active; of equal radii the older is.
+A sample's radius is its distance to the nearest better sample, infinite for the best. Better means a lower cost, or the
+same cost and older. The k samples of largest radius are active, older ones first among equals.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ Indices = NDArray[np.int64]
 
 _BRUTE_FORCE: Final = 128  # samples
 _LEAF: Final = 24  # samples in a leaf of a tree
-_CROWD: Final = 16  # neighbours a sample that are looked at together
-_SAFETY: Final = 1.0 + 1e-9  # the tree rounds distances in its own way
+_CROWD: Final = 16  # neighbours per sample in one query
+_SAFETY: Final = 1.0 + 1e-9  # slack, as the tree rounds distances differently
 
 
 def _order(c: Array) -> Indices:
@@ -33,23 +33,22 @@ def _order(c: Array) -> Indices:
 
 
 def radii(Z: Array, c: Array) -> tuple[Array, Indices]:
-    """Squared radii and suppressors in the obvious way, O(n^2 d): the truth the others are tested against."""
+    """Squared radii and suppressors by definition, O(n^2 d); the reference in tests."""
     order = _order(c)
     r2, suppressor = np.full(len(c), np.inf), np.full(len(c), -1, dtype=np.int64)
     for rank, index in enumerate(order[1:], start=1):
         better = np.sort(order[:rank])
         d2 = squared_distances(Z[index : index + 1], Z[better])[0]
-        nearest = int(d2.argmin())  # the oldest of equally near ones
+        nearest = int(d2.argmin())  # the oldest among equally near ones
         r2[index], suppressor[index] = d2[nearest], better[nearest]
     return r2, suppressor
 
 
 def radii_kdtree(Z: Array, c: Array) -> tuple[Array, Indices]:
-    """Squared radii and suppressors with k-d trees, O(n log^2 n) whatever the costs and however many states coincide.
+    """Squared radii and suppressors with k-d trees, O(n log^2 n) for any costs, also where many states coincide.
 
-    In cost order, the worse half looks for its nearest neighbours in a tree of the better half; then each half is
-    treated alike. Radii have the same bits as those of `radii`; so have suppressors, except of samples that share a
-    state.
+    In cost order, the worse half searches a tree of the better half for its nearest neighbours; then each half does the
+    same. Results equal those of `radii` bit by bit, except for suppressors of samples that share a state.
     """
     order = _order(c)
     X, r2, suppressor = Z[order], np.full(len(c), np.inf), np.full(len(c), -1, dtype=np.int64)
@@ -69,7 +68,7 @@ def radii_kdtree(Z: Array, c: Array) -> tuple[Array, Indices]:
 
 
 def _inside(X: Array) -> tuple[Indices, Indices, Array]:
-    """Pairs (better, worse) of a small block in cost order that can set a radius, with their squared distances."""
+    """Pairs (better, worse) of a small block in cost order that may set a radius, with squared distances."""
     d2 = squared_distances(X, X)
     d2[np.triu_indices(len(X))] = np.inf
     worse, better = np.nonzero((d2 == d2.min(axis=1, keepdims=True, initial=np.inf)) & np.isfinite(d2))
@@ -77,12 +76,12 @@ def _inside(X: Array) -> tuple[Indices, Indices, Array]:
 
 
 def _across(better: Array, worse: Array, age: Indices) -> tuple[Indices, Indices, Array]:
-    """The same between two blocks: nearest neighbours, all of them where the tree's rounding leaves a choice.
+    """The same between two blocks: nearest neighbours, several where the tree's rounding leaves a choice.
 
-    Where that would be very many, as among a few states that come again and again, each state is looked at once: the
-    oldest of equal better ones, by `age`, may set a radius, and equal worse ones have it in common.
+    Where these would be very many, as among a few repeated states, each state is searched once: the oldest of equal
+    better samples, by `age`, may set a radius, and equal worse samples share it.
     """
-    tree, along = KDTree(better, _LEAF), KDTree(worse, _LEAF).indices  # neighbours in turn: a third of the time
+    tree, along = KDTree(better, _LEAF), KDTree(worse, _LEAF).indices  # one at a time: a third of the time
     distance, neighbour = tree.query(worse[along], k=2)
     pairs = [(neighbour[:, 0], along)]
     unsure = (distance[:, 1] <= distance[:, 0] * _SAFETY) & (distance[:, 0] > 0)
@@ -100,9 +99,9 @@ def _across(better: Array, worse: Array, age: Indices) -> tuple[Indices, Indices
 
 
 def _among_equals(better: Array, worse: Array, age: Indices) -> tuple[Indices, Indices, Array]:
-    """One pair for each of the worse, found among different states only."""
+    """One pair for each worse sample, searched among distinct states only."""
     oldest = age.argsort()
-    states, first = np.unique(better[oldest], axis=0, return_index=True)  # the first of equal ones is the oldest
+    states, first = np.unique(better[oldest], axis=0, return_index=True)  # the first among equals is the oldest
     oldest = oldest[first]
     states, oldest = states[np.argsort(age[oldest])], oldest[np.argsort(age[oldest])]
     asked, members = np.unique(worse, axis=0, return_inverse=True)
@@ -118,7 +117,7 @@ def _among_equals(better: Array, worse: Array, age: Indices) -> tuple[Indices, I
 
 
 def _keep_nearest(r2: Array, suppressor: Indices, of: Indices, candidate: Indices, d2: Array) -> None:
-    """Takes the candidates that are nearer than the suppressors so far, or as near and older."""
+    """Accepts candidates that are nearer than the suppressors so far, or as near and older."""
     best = np.lexsort((candidate, d2, of))
     best = best[np.diff(of[best], prepend=-1) != 0]
     of, candidate, d2 = of[best], candidate[best], d2[best]
@@ -127,7 +126,7 @@ def _keep_nearest(r2: Array, suppressor: Indices, of: Indices, candidate: Indice
 
 
 def top(r2: Array, k: int) -> Indices:
-    """Indices of the k largest radii, ascending, by partition, O(n); of equal radii the older."""
+    """Indices of the k largest radii, ascending, by partition, O(n); older ones first among equals."""
     if k >= len(r2):
         return np.arange(len(r2))
     threshold = np.partition(r2, len(r2) - k)[len(r2) - k]

@@ -1,14 +1,14 @@
-"""Suppression radii kept by a pass over all samples for each change, O(n d): quickest while samples are few.
+"""Suppression radii updated by a pass over all samples per change, O(n d): fastest for few samples.
 
     Z   (n, d)  standardised states, oldest first          sup  (n,)  number of the suppressor; -1: none is better
     c   (n,)    costs; NaN: removed                        r2   (n,)  squared radii; -1: removed
-    d2  (n,)    squared distances to the sample in hand
+    d2  (n,)    squared distances to the current sample
 
-A radius depends on better samples only. So a new sample finds its own radius, and shrinks those of the worse ones it
-is nearer to than their suppressors: one pass, O(n d), in which about one radius changes whatever n is. Removing or
-re-costing a sample concerns only those whose suppressor it is, a pass each; where one suppresses very many, as among
-equal states, all radii are made anew, which costs less. Density-peak clustering keeps the same quantity, which
-it calls the dependent distance, while its data change [Amagata2023].
+A radius depends on better samples only. A new sample finds its own radius, and shrinks those of worse samples that are
+nearer to it than to their suppressors: one pass, O(n d), in which about one radius changes for any n. Removing or
+re-costing a sample affects only those it suppresses, a pass each; where these are very many, as among equal states,
+recomputing all radii costs less. Density-peak clustering maintains the same quantity, the dependent distance, over
+changing data [Amagata2023].
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ __all__ = ["EagerRadii"]
 
 Mask = NDArray[np.bool_]
 
-_BATCH: Final = 6e3  # a batch build takes as long per sample as one pass over this many
+_BATCH: Final = 6e3  # a batch build takes as long per sample as a pass over this many
 
 
 @final
 class EagerRadii:
     """Radii and suppressors in plain arrays.
 
-    Methods that change samples return the numbers of those whose radius may be another now, or None for all.
+    Methods that change samples return the numbers of those whose radius may have changed, or None for all.
 
     Args:
         dimensions: d.
@@ -76,7 +76,7 @@ class EagerRadii:
         return np.concatenate(touched) if touched else np.empty(0, dtype=np.int64)
 
     def remove(self, gone: Indices) -> Indices | None:
-        """Forget samples; those they suppressed look for other suppressors, or all radii are made anew."""
+        """Remove samples; those they suppressed find other suppressors, or all radii are recomputed."""
         sup = self._sup.rows
         widowed = np.flatnonzero(np.isin(sup, gone))
         self._c.rows[gone], self._r2.rows[gone], sup[gone] = np.nan, -1.0, -1
@@ -123,7 +123,7 @@ class EagerRadii:
         d2 = self._distances(z, new)
         changed = np.flatnonzero(np.less(d2, r2, out=self._near[:new]))
         radius, suppressor = self._nearest_better(d2, cost)
-        changed = changed[self._c.rows[changed] > cost]  # equal costs: the older is the better
+        changed = changed[self._c.rows[changed] > cost]  # equal costs: the older is better
         r2[changed], sup[changed] = d2[changed], new
         for column, value in ((self._Z, z), (self._c, cost), (self._r2, radius), (self._sup, suppressor)):
             column.append(value)
@@ -140,8 +140,8 @@ class EagerRadii:
     def _nearest_better(self, d2: Array, cost: float) -> tuple[float, int]:
         """Squared distance to and number of the nearest older sample with a cost of at most `cost`.
 
-        The nearest sample of all, or one up its chain of suppressors, is good enough; only what is no farther than that
-        one need be looked at.
+        The nearest sample of all, or one up its chain of suppressors, gives a bound; only samples within it are
+        compared.
         """
         c, sup = self._c.rows, self._sup.rows
         if not len(d2):
@@ -159,7 +159,7 @@ class EagerRadii:
         return float(d2[found]), found
 
     def _search(self, indices: Indices) -> None:
-        """Finds radius and suppressor of each sample from scratch."""
+        """Recomputes radius and suppressor of each sample."""
         c = self._c.rows
         for index in indices:
             better = c < c[index]

@@ -1,4 +1,4 @@
-"""The selector seen from the store: rows of eligible trials instead of the selector's own numbers."""
+"""Adapts a selector to the store: rows of eligible trials instead of the selector's numbers."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ __all__ = ["RadiiCache", "Selection"]
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class RadiiCache:
-    """What makes a restart quick; it may be dropped at any time.
+    """Radii that make a restart quick; may be deleted at any time.
 
     Attributes:
         version: Log position it belongs to.
@@ -41,7 +41,7 @@ class Selection:
     """Which rows of the store are active.
 
     Args:
-        spec: The task as created: its length-scales measure distances for good.
+        spec: The task as created: distances always use its length-scales.
         store: The trials.
         factory: Makes the selector.
     """
@@ -51,12 +51,12 @@ class Selection:
         self._store = store
         self._selector: Selector = factory(len(spec.state), spec.budget)
         self._rows = Growable(np.int32)
-        self._alive = Growable(np.bool_)  # which of them were not removed since
+        self._alive = Growable(np.bool_)  # those not removed since
         self._numbers: Indices | None = self._selector.active
         self.active: Indices = self._numbers.astype(np.int64)
 
     def extend(self, rows: Indices) -> None:
-        """Takes rows that became eligible, younger than all before."""
+        """Adds newly eligible rows, younger than all before."""
         if len(rows):
             self._rows.extend(rows)
             self._alive.extend(np.ones(len(rows), dtype=np.bool_))
@@ -64,7 +64,7 @@ class Selection:
             self._update()
 
     def remove(self, rows: Sequence[int]) -> None:
-        """Forget rows; rows that are not eligible are left out."""
+        """Remove rows; rows that are not eligible are ignored."""
         numbers = self._known(rows)
         if len(numbers):
             self._alive.rows[numbers] = False
@@ -79,23 +79,23 @@ class Selection:
             self._update()
 
     def set_budget(self, budget: int) -> None:
-        """Changes how many rows may be active."""
+        """Changes the number of rows that may be active."""
         self._selector.set_budget(budget)
         self._update()
 
     def rebuild(self, rows: Indices, cache: RadiiCache | None = None) -> None:
-        """Starts again from these rows; a cache that fits them saves the search for radii."""
+        """Starts again from these rows; a matching cache saves computing the radii."""
         radii = None
         if cache is not None and np.array_equal(cache.seqs, self._store.seqs[rows]):
             radii = Radii(cache.squared, cache.suppressors)
         self._rows.replace(rows)
         self._alive.replace(np.ones(len(rows), dtype=np.bool_))
         self._selector.rebuild(self._standardised(rows), self._store.costs[rows], radii)
-        self._numbers = None  # the same numbers may stand for other rows now
+        self._numbers = None  # the same numbers may mean other rows now
         self._update()
 
     def standing(self, row: int) -> tuple[int | None, float | None]:
-        """Suppressor's row and distance to it in creation length-scales; None where there is none."""
+        """Suppressor's row and its distance in creation length-scales; None without one."""
         number = self._number(row)
         if number is None:
             return None, None
@@ -104,7 +104,7 @@ class Selection:
         return suppressor, standing.radius
 
     def cache(self, version: int) -> RadiiCache | None:
-        """The radii at log position `version`, where the selector has any."""
+        """The radii at log position `version`, if the selector has any."""
         radii = self._selector.radii()
         if radii is None:
             return None

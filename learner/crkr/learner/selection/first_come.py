@@ -1,4 +1,4 @@
-"""The rules that look at nothing but the order of arrival: what the filter is compared with."""
+"""Selection by order of arrival alone, for comparison with the filter."""
 
 from __future__ import annotations
 
@@ -16,28 +16,27 @@ __all__ = ["FirstCome"]
 
 @final
 class FirstCome:
-    """The first `budget` samples are active; later ones only fill the places of removed ones. Make it by name.
+    """The first `budget` samples are active; later ones only replace removed ones. Make it by name.
 
-    `freeze` stops learning when the budget is full. `full` keeps everything, Cost-regularized Kernel Regression as it
-    was before there was a filter: a step costs O(n^2), and a prediction too. Hence it stops at `MOST_KEPT` samples,
-    whatever the budget.
+    `freeze` stops learning when the budget is full. `full` keeps everything, as Cost-regularized Kernel Regression
+    without a filter does: a step and a prediction cost O(n^2), so it stops at `MOST_KEPT` samples, whatever the budget.
     """
 
     def __init__(self, budget: int, bounded: bool = True) -> None:
         self._budget, self._bounded = budget, bounded
-        self._kept = Growable(np.bool_)  # of each sample, whether it is not removed
+        self._kept = Growable(np.bool_)  # whether each sample is not removed
         self._active: Indices = np.empty(0, dtype=np.int64)
         self._active.setflags(write=False)
 
     @classmethod
     def freeze(cls, dimensions: int, budget: int) -> FirstCome:
-        """The oldest `budget` samples; their states, of `dimensions`, do not matter."""
+        """Keeps the oldest `budget` samples; `dimensions` is not used."""
         del dimensions  # Unused; the interface's.
         return cls(budget)
 
     @classmethod
     def full(cls, dimensions: int, budget: int) -> FirstCome:
-        """All samples, up to `MOST_KEPT`."""
+        """Keeps all samples, up to `MOST_KEPT`."""
         del dimensions, budget  # Unused; the interface's.
         return cls(MOST_KEPT, bounded=False)
 
@@ -56,11 +55,11 @@ class FirstCome:
         self._kept.extend(np.ones(len(costs), dtype=np.bool_))
 
     def remove(self, indices: Indices | int) -> None:
-        """Forgets samples; the next oldest take their places."""
+        """Removes samples; the next oldest replace them."""
         self._kept.rows[indices] = False
 
     def recost(self, indices: Indices | int, costs: Array | float) -> None:
-        """Changes nothing: costs do not matter here."""
+        """Changes nothing: costs are not used."""
 
     def rebuild(self, Z: Array, costs: Array, radii: Radii | None = None) -> None:
         """Takes these samples."""
@@ -69,14 +68,14 @@ class FirstCome:
         self.extend(Z, costs)
 
     def set_budget(self, budget: int) -> None:
-        """Makes room for more, or lets the youngest go, where there is a budget at all."""
+        """Adds or drops the youngest active samples, if there is a budget."""
         if self._bounded:
             self._budget = budget
 
     def standing(self, index: int) -> Standing:
-        """Nothing suppresses a sample; it came early enough or too late."""
+        """None: order of arrival alone decides."""
         del index  # Unused.
         return Standing(None, None)
 
     def radii(self) -> None:
-        """None: there is nothing to keep."""
+        """None: there are no radii."""

@@ -1,22 +1,21 @@
-"""A priority k-d tree over samples, compiled: the nearest better sample, and whose radius a sample shrinks, in log n.
+"""A compiled priority k-d tree: finds the nearest better sample, and the radii that a sample shrinks, in log n.
 
     x  (d,)  standardised state          r2  squared radius: distance to the suppressor, the nearest better sample
     c        cost                        d2  squared distance to x
 
-Samples lie in leaves of up to `SLOTS`. A node knows the box of its samples and their lowest cost, so that one descent
-leaves out what holds no better sample near by; and it knows their largest radius, so that another leaves out what has
-no radius that reaches x. As good samples have large radii, and only those of worse samples matter, there is one for the
-samples from each of a few costs on. A leaf is a row of blocks, those of large radii first, and far from x only these
-are looked at. A node splits the widest side of its box; equal states are split by cost, equal costs by age, so that no
-stream of samples makes the tree degenerate. Where a path gets too long, the subtree that is out of balance is built
-anew [Galperin1993].
+Samples are in leaves of up to `SLOTS`. A node has the box of its samples and their lowest cost, which lets the search
+for a better sample skip it; and their largest radius, which lets the search for radii that reach x skip it. Good
+samples have large radii, but only radii of worse samples matter, so a node has one largest radius for the samples above
+each of a few costs. A leaf is a row of blocks, large radii first; far from x only the first blocks are searched. A node
+splits the widest side of its box, equal states by cost, and equal costs by age, so that no stream of samples
+degenerates the tree. Where a path gets too long, the unbalanced subtree is rebuilt [Galperin1993].
 
-Distances are sums over dimensions in their order, and a box's distance is rounded like a sample's: bounds are exact,
-and radii have the bits of `squared_distances`. Of equally near better samples the suppressor is a costly one, so that
-equal states form chains, in which each suppresses few.
+Distances sum over dimensions in order, and box distances are rounded like sample distances: bounds are exact, and radii
+equal those of `squared_distances` bit by bit. Among equally near better samples a costly one is the suppressor, so that
+equal states form chains in which each suppresses few.
 
-The module needs numba (`pip install crkr[fast]`), and compiling it takes some seconds once a machine. It is one file,
-as numba's cache looks at the time of that file only.
+Needs numba (`pip install crkr[fast]`); compiling takes some seconds, once per machine. One file, because numba's cache
+compares the time of one file only.
 """
 
 from __future__ import annotations
@@ -32,34 +31,34 @@ __all__ = ["BLOCK", "LEVELS", "SLOTS", "Tree", "build", "fill_radii", "insert", 
 
 SLOTS: Final = 256
 BLOCK: Final = 32
-LEVELS: Final = 8  # costs from which on the largest radius is kept
+LEVELS: Final = 8  # cost levels with a largest radius each
 _PARTS: Final = SLOTS // BLOCK
-_FILL: Final = 192  # samples in a leaf that was just built
-_DEEPEST: Final = 128  # a path; the balance keeps it below 70
-_UNBALANCED: Final = 0.7  # share of a node's samples in one child
+_FILL: Final = 192  # samples in a new leaf
+_DEEPEST: Final = 128  # longest path; the balance keeps it below 70
+_UNBALANCED: Final = 0.7  # largest share of a node's samples in one child
 _NONE: Final = -1
 
 # Columns of `Tree.links`, `Tree.samples`, and entries of `Tree.counts`.
-_PARENT, _CHILD, _LEAF, _COUNT, _AXIS = range(5)  # children are neighbours; _CHILD is the left one
-_PLACE, _SUPPRESSOR, _FIRST, _NEXT, _PREVIOUS = range(5)  # the lists of those that a sample suppresses
+_PARENT, _CHILD, _LEAF, _COUNT, _AXIS = range(5)  # children are adjacent; _CHILD is the left one
+_PLACE, _SUPPRESSOR, _FIRST, _NEXT, _PREVIOUS = range(5)  # linked lists of the samples that each suppresses
 _NODES, _LEAVES, _FREE_PAIR, _FREE_LEAF, _MOST, _TOUCHED = range(6)
 
 
 class Tree(NamedTuple):
-    """The arrays of a tree; the root is node 0.
+    """Arrays of a tree; the root is node 0.
 
     Attributes:
-        boxes: (nodes, 2 d + 3) lowest and highest coordinates, lowest and highest cost, where it is split.
+        boxes: (nodes, 2 d + 3) lowest and highest coordinates, lowest and highest cost, place of the split.
         reaches: (nodes, LEVELS) largest r2 of samples from each level on.
         ranges: (leaves SLOTS / BLOCK, 3) largest r2, lowest and highest cost in a block.
         levels: (LEVELS,) costs, the first one -inf, ascending.
         links: (nodes, 5) parent, left child, leaf, number of samples, axis of the split.
         slots: (leaves SLOTS / BLOCK, d + 2, BLOCK) coordinates, costs and r2 of the samples in a block.
-        numbers: (leaves, SLOTS + 2) their numbers; how many there are; the leaf's node.
+        numbers: (leaves, SLOTS + 2) numbers of the samples; their count; the leaf's node.
         samples: (n, 5) slot in all leaves, -1 for a removed sample; suppressor; first suppressed; list neighbours.
         r2: (n,) squared radii; -1: removed.
         counts: (6,) nodes and leaves used, free ones, most samples since the last build, how many were touched.
-        touched: Numbers of samples whose radius was set since `counts` said none was; those that fit.
+        touched: Numbers of samples whose radius was set since the last reset of `counts`, as many as fit.
     """
 
     boxes: Array
@@ -107,7 +106,7 @@ def _distances(block, count, x, d2):
 
 @_inner
 def _include(tree, node, page, x, cost, r2):
-    """A sample in what a leaf's node knows, and in the ranges of its block."""
+    """Adds a sample to the bounds of its leaf's node, and to the ranges of its block."""
     d = len(x)
     box, reaches, ranges = tree.boxes[node], tree.reaches[node], tree.ranges[page]
     for axis in range(d):
@@ -124,7 +123,7 @@ def _include(tree, node, page, x, cost, r2):
 
 @_inner
 def _summarise(tree, node, d):
-    """The node's box, costs and reaches from its samples, and the ranges of their blocks."""
+    """Recomputes the node's box, costs and reaches from its samples, and the ranges of their blocks."""
     leaf = tree.links[node, _LEAF]
     box, reaches = tree.boxes[node], tree.reaches[node]
     box[:d], box[d : 2 * d], box[2 * d], box[2 * d + 1] = np.inf, -np.inf, np.inf, -np.inf
@@ -139,7 +138,7 @@ def _summarise(tree, node, d):
 
 @_inner
 def _pull(tree, node, d):
-    """The same from its children; whether anything changed."""
+    """The same from its children; returns whether anything changed."""
     child, boxes, reaches = tree.links[node, _CHILD], tree.boxes, tree.reaches
     changed = False
     for column in range(2 * d):
@@ -163,14 +162,14 @@ def _pull(tree, node, d):
 
 @_inner
 def _tighten(tree, node, d):
-    """A leaf's node, and those above."""
+    """Recomputes a leaf's node, and those above."""
     _summarise(tree, node, d)
     _tell(tree, node, d)
 
 
 @_inner
 def _tell(tree, node, d):
-    """The nodes above one that changed, as far as anything changes."""
+    """Recomputes the nodes above a changed one, until one stays the same."""
     node = tree.links[node, _PARENT]
     while node >= 0 and _pull(tree, node, d):
         node = tree.links[node, _PARENT]
@@ -207,7 +206,7 @@ def _set_suppressor(samples, number, suppressor):
 
 @_inner
 def _state(tree, number, x):
-    """The sample's state, into x; its cost."""
+    """Writes the sample's state into x; returns its cost."""
     page, slot = divmod(tree.samples[number, _PLACE], BLOCK)
     for axis in range(len(x)):
         x[axis] = tree.slots[page, axis, slot]
@@ -216,9 +215,9 @@ def _state(tree, number, x):
 
 @_inner
 def _nearest_better(tree, x, cost, number, d2):
-    """Squared distance to the nearest better sample, and its number; infinity and -1 if there is none.
+    """Squared distance to the nearest better sample, and its number; infinity and -1 without one.
 
-    Of children that are equally near the right one is looked at first: its samples cost more where states are equal.
+    Among equally near children the right one comes first: its samples cost more where states are equal.
     """
     d = len(x)
     boxes, links = tree.boxes, tree.links
@@ -272,7 +271,7 @@ def _nearest_better(tree, x, cost, number, d2):
 
 @_inner
 def _shrink_others(tree, x, cost, number, d2):
-    """Gives this sample as suppressor to the worse ones that it is nearer to than theirs."""
+    """Makes this sample the suppressor of worse samples that are nearer to it than to theirs."""
     d = len(x)
     boxes, links = tree.boxes, tree.links
     level = 0
@@ -321,7 +320,7 @@ def _shrink_others(tree, x, cost, number, d2):
 
 @_inner
 def _search(tree, number, x, d2):
-    """A sample's radius and suppressor from scratch."""
+    """Recomputes a sample's radius and suppressor."""
     cost = _state(tree, number, x)
     radius, suppressor = _nearest_better(tree, x, cost, number, d2)
     page, slot = divmod(tree.samples[number, _PLACE], BLOCK)
@@ -403,7 +402,7 @@ def _select(keys, order, start, middle, stop):
 
 @_inner
 def _widest(Z, costs, order, start, stop):
-    """The axis along which these samples are split: d for their costs, d + 1 for their numbers."""
+    """The axis that splits these samples: d for costs, d + 1 for numbers."""
     d = Z.shape[1]
     widest, axis = 0.0, d + 1
     for column in range(d):
@@ -423,7 +422,7 @@ def _widest(Z, costs, order, start, stop):
 
 @_inner
 def _sort(tree, leaf, d):
-    """Puts a leaf's samples of large radii first."""
+    """Sorts a leaf's blocks by radius, the largest first."""
     pages, names = tree.slots[leaf * _PARTS : (leaf + 1) * _PARTS].copy(), tree.numbers[leaf].copy()
     filled = names[SLOTS]
     keys = np.empty(filled)
@@ -440,11 +439,11 @@ def _sort(tree, leaf, d):
 
 @_compiled
 def build(tree, root, Z, costs, r2, numbers):
-    """Puts samples under a node that has none, in balance.
+    """Builds a balanced subtree of samples under an empty node.
 
     Args:
         tree: With room for them.
-        root: The node; its parents are told.
+        root: The node; its parents are updated.
         Z: (m, d) states.
         costs: (m,).
         r2: (m,) squared radii.
@@ -496,7 +495,7 @@ def build(tree, root, Z, costs, r2, numbers):
 
 @_inner
 def _rebuild(tree, root, d):
-    """Builds a subtree anew; splits a full leaf."""
+    """Rebuilds a subtree; splits a full leaf."""
     m = tree.links[root, _COUNT]
     Z, costs, r2, numbers = np.empty((m, d)), np.empty(m), np.empty(m), np.empty(m, np.int64)
     waiting = np.empty(_DEEPEST, np.int32)
@@ -509,7 +508,7 @@ def _rebuild(tree, root, d):
         if child >= 0:
             waiting[count], waiting[count + 1] = child, child + 1
             count += 2
-            tree.links[child, _PARENT] = tree.counts[_FREE_PAIR]  # what a freed pair links to below stays to be read
+            tree.links[child, _PARENT] = tree.counts[_FREE_PAIR]  # links of a freed pair stay readable
             tree.counts[_FREE_PAIR] = child
             continue
         for slot in range(tree.numbers[leaf, SLOTS]):
@@ -523,7 +522,7 @@ def _rebuild(tree, root, d):
 
 @_inner
 def _add(tree, number, x, cost, radius):
-    """Puts a sample into its leaf, splits it if it is full, and keeps the paths short."""
+    """Adds a sample to its leaf, splits a full leaf, and keeps paths short."""
     d = len(x)
     node, depth = 0, 0
     while True:
@@ -554,7 +553,7 @@ def _add(tree, number, x, cost, radius):
 
 @_compiled
 def insert(tree, first, Z, costs):
-    """Adds samples numbered from `first`, in turn; the tree must have room for them."""
+    """Adds samples numbered from `first`, one by one; the tree must have room for them."""
     d2 = np.empty(BLOCK)
     for row in range(len(costs)):
         number, x, cost = first + row, Z[row], costs[row]
@@ -570,7 +569,7 @@ def insert(tree, first, Z, costs):
 
 @_compiled
 def remove(tree, numbers):
-    """Takes samples out; those that they suppressed find other suppressors."""
+    """Removes samples; those they suppressed find other suppressors."""
     d = tree.slots.shape[1] - 2
     x, d2 = np.empty(d), np.empty(BLOCK)
     for number in numbers:
@@ -601,7 +600,7 @@ def remove(tree, numbers):
 
 @_compiled
 def recost(tree, numbers, costs):
-    """Changes costs, in turn."""
+    """Changes costs, one by one."""
     d = tree.slots.shape[1] - 2
     x, d2 = np.empty(d), np.empty(BLOCK)
     for row in range(len(numbers)):
@@ -623,7 +622,7 @@ def recost(tree, numbers, costs):
 
 @_compiled
 def fill_radii(tree, first, last):
-    """Finds all radii of the samples in the leaves from `first` on, before `last`, which have none."""
+    """Computes all radii of the samples in leaves `first` to `last`, exclusive, which have none yet."""
     d = tree.slots.shape[1] - 2
     x, d2 = np.empty(d), np.empty(BLOCK)
     for leaf in range(first, last):
@@ -639,6 +638,6 @@ def fill_radii(tree, first, last):
 
 @_compiled
 def link(tree, numbers, suppressors):
-    """Notes suppressors (m,) of samples (m,) that have none; -1 stays none."""
+    """Sets suppressors (m,) of samples (m,) that have none; -1: none."""
     for row in range(len(numbers)):
         _set_suppressor(tree.samples, numbers[row], suppressors[row])

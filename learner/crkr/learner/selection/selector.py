@@ -1,4 +1,4 @@
-"""What a rule for choosing the active samples must offer; every rival stands behind this interface."""
+"""The interface of a rule that chooses the active samples."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ __all__ = ["Radii", "Selector", "SelectorFactory", "Standing"]
 @final
 @dataclass(frozen=True, slots=True)
 class Standing:
-    """Why a sample is active, or is not.
+    """Why a sample is active or not.
 
     Attributes:
-        suppressor: Index of the better sample that sets its radius; None where there is none.
+        suppressor: Index of the better sample that sets its radius; None without one.
         radius: Distance to the suppressor in creation length-scales; None where it is infinite or unknown.
     """
 
@@ -29,7 +29,7 @@ class Standing:
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Radii:
-    """What a selector may keep to restart quickly; never truth.
+    """Radii that a selector may store to restart quickly.
 
     Attributes:
         squared: (n,) squared radii of the samples that are not removed, oldest first.
@@ -41,9 +41,9 @@ class Radii:
 
 
 class Selector(Protocol):
-    """Chooses the active samples among all it was told of.
+    """Chooses the active samples.
 
-    Samples are numbered from 0 in the order they came, and keep their numbers until `rebuild`. States are standardised
+    Samples are numbered from 0 in order of arrival, and keep their numbers until `rebuild`. States are standardised
     by the length-scales the task was created with. A selector must depend on the samples and their order only, so that
     a replayed log gives the same active set.
     """
@@ -56,22 +56,22 @@ class Selector(Protocol):
         """Adds samples (n, d) with costs (n,)."""
 
     def remove(self, indices: Indices | int) -> None:
-        """Forgets samples, which must be there; their numbers are not used again."""
+        """Removes stored samples; their numbers are not used again."""
 
     def recost(self, indices: Indices | int, costs: Array | float) -> None:
-        """Changes the costs of samples, each named once; their age stays."""
+        """Changes the costs of samples, each named once; ages stay."""
 
     def rebuild(self, Z: Array, costs: Array, radii: Radii | None = None) -> None:
-        """Forgets everything and takes these samples, numbered anew; `radii` are theirs if known."""
+        """Replaces all samples by these and renumbers them; `radii` are theirs, if known."""
 
     def set_budget(self, budget: int) -> None:
-        """Changes how many samples may be active."""
+        """Changes the number of samples that may be active."""
 
     def standing(self, index: int) -> Standing:
-        """Where one sample stands."""
+        """Status of one sample."""
 
     def radii(self) -> Radii | None:
-        """What makes the next `rebuild` quick, where there is such a thing."""
+        """Radii that make the next `rebuild` quick; None if there are none."""
 
 
 SelectorFactory = Callable[[int, int], Selector]

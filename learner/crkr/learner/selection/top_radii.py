@@ -1,9 +1,9 @@
-"""The k largest of many radii that mostly shrink, without looking at all of them each time.
+"""The k largest of many radii that mostly shrink, without a pass over all of them at each change.
 
     r2  (n,)  squared radii; -1: removed        k  budget        tau  smallest radius chosen
 
-A reserve of about 2k samples holds every radius that is at least `_floor`. Choosing k of them is exact as long as k of
-them are left; a new reserve, O(n), is drawn only when they run out or become too many.
+A pool of about 2k samples holds every radius of at least `_floor`. Choosing k of it is exact while it has k; a new
+pool, O(n), is drawn only when it has too few or too many.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from crkr.protocol import Array
 
 __all__ = ["Reserve"]
 
-_RESERVE: Final = 2  # budgets that a new reserve holds
-_TOO_MANY: Final = 4  # times its first size, at which a reserve is drawn anew
+_RESERVE: Final = 2  # budgets that a new pool holds
+_TOO_MANY: Final = 4  # times its first size, at which a new pool is drawn
 
 
 @final
 class Reserve:
-    """Keeps the choice of the k samples of largest radius; of equal radii the older is chosen.
+    """Maintains the k samples of largest radius; older ones first among equals.
 
     Args:
         budget: k.
@@ -35,16 +35,16 @@ class Reserve:
         self._floor = 0.0
         self._limit = 0
         self._tau = -np.inf
-        self._numbers: set[int] = set()  # those of `chosen`
+        self._numbers: set[int] = set()  # ranks of `chosen`
         self.chosen: Indices = _frozen(self._members)
 
     def reset(self, r2: Array) -> None:
-        """Draws a new reserve and chooses from it."""
+        """Draws a new pool and chooses from it."""
         self._draw(r2)
         self._choose(r2)
 
     def update(self, r2: Array, touched: Indices) -> None:
-        """Apply changed radii of these samples, and choose again where that can matter."""
+        """Apply changed radii of these samples, and choose again if needed."""
         joining = touched[r2[touched] >= self._floor]
         if len(joining):
             self._members = np.concatenate([self._members, joining])

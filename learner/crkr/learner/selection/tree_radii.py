@@ -1,4 +1,4 @@
-"""Suppression radii kept in a priority k-d tree: a step takes about log n where `EagerRadii` takes n."""
+"""Suppression radii in a priority k-d tree: a step takes about log n, and n in `EagerRadii`."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ __all__ = ["TreeRadii"]
 
 _FEWEST_IN_LEAF: Final = 96  # when it is made
 _SPARE: Final = 64  # leaves
-_NOTED: Final = 4096  # changed radii that are told one by one
+_NOTED: Final = 4096  # changed radii that are named one by one
 _FIRST_CAPACITY: Final = 1024  # samples
-_SHARES: Final = 0.5 ** np.arange(LEVELS - 1, 0, -1)  # of the samples that are better than each level
+_SHARES: Final = 0.5 ** np.arange(LEVELS - 1, 0, -1)  # share of samples better than each level
 
 
 @final
 class TreeRadii:
-    """What `EagerRadii` keeps, by the compiled functions of `priority_tree`.
+    """`EagerRadii` by the compiled functions of `priority_tree`.
 
-    Its arrays have room for twice the samples; pages that none has touched cost no memory.
+    Arrays have room for twice the samples; untouched pages cost no memory.
 
     Args:
         dimensions: d.
@@ -61,7 +61,7 @@ class TreeRadii:
         return Z, costs
 
     def extend(self, Z: Array, costs: Array) -> Indices | None:
-        """Add samples; numbers of those whose radius is another now, None: too many to name."""
+        """Add samples; returns the numbers of those whose radius changed, None for too many to name."""
         first, added = self._count, len(costs)
         if added > first + _FIRST_CAPACITY:
             before = self.samples()
@@ -73,12 +73,12 @@ class TreeRadii:
         return self._touched()
 
     def remove(self, gone: Indices) -> Indices | None:
-        """Forget samples; returns what `extend` does."""
+        """Remove samples; returns as `extend` does."""
         priority_tree.remove(self._tree, np.array(gone, dtype=np.int64))
         return self._touched()
 
     def recost(self, changed: Indices, costs: Array) -> Indices | None:
-        """Change costs; returns what `extend` does."""
+        """Change costs; returns as `extend` does."""
         priority_tree.recost(self._tree, np.array(changed, dtype=np.int64), np.array(costs, dtype=np.float64))
         return self._touched()
 
@@ -108,7 +108,7 @@ class TreeRadii:
         return self._tree.touched[:touched].copy() if touched <= _NOTED else None
 
     def _reserve(self, count: int) -> None:
-        """Room for `count` samples and all nodes and leaves that they can take, in a tree built anew."""
+        """Allocates an empty tree with room for `count` samples and all nodes and leaves they may need."""
         if count > len(self._tree.r2):
             before = self._tree
             room, alive = max(count, 2 * len(before.r2)), before.r2[: self._count] >= 0

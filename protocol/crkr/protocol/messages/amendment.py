@@ -1,4 +1,4 @@
-"""Corrections of stored trials: what was measured or judged wrongly, and the wish to take the newest change back."""
+"""Requests that correct stored trials, and that undo the newest change."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def trial_ids(value: object) -> tuple[UUID, ...]:
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class AmendRequest:
-    """Other values for stored trials, the same for all of them.
+    """New values for stored trials, the same for all of them.
 
     Attributes:
         ids: 1 to 1024 trials.
@@ -56,10 +56,10 @@ class AmendRequest:
         restore: object = False,
         reason: object = "",
     ) -> Self:
-        """Checks a correction; a value of None stays as it is.
+        """Checks a correction; None leaves a value as it is.
 
         Raises:
-            Invalid: A value that no task allows, or nothing to change.
+            Invalid: A value that no task allows, or no change at all.
         """
         changes: dict[str, Any] = {}
         if success is not None:
@@ -95,10 +95,10 @@ class AmendRequest:
 @final
 @dataclass(frozen=True, slots=True)
 class UndoRequest:
-    """The wish to take back the newest correction, or the newest trial that was reported by hand.
+    """A request to undo the newest correction, or the newest trial that was reported by hand.
 
     Attributes:
-        request: Chosen by the asker; the same request is carried out once.
+        request: Id chosen by the client; the same request is executed once.
         worker: Trials of this worker instead of those that name none.
         reason: Kept in the log.
     """

@@ -1,7 +1,7 @@
-"""Metadata of a call: who asks, and how long the asker waits for this attempt.
+"""Metadata of a call: which client asks, and how long it waits for this attempt.
 
-It travels as the query's attachment, beside the message, so that the message's bytes are the same in every attempt. It
-is optional: a server that does not know it, and a client that does not send it, understand each other as before.
+It is the query's attachment, so that the message's bytes are the same in every attempt, and optional, so that older
+clients and servers do without.
 """
 
 from __future__ import annotations
@@ -16,25 +16,25 @@ from crkr.protocol.earlier_python import Self
 
 __all__ = ["LONGEST_METADATA", "CallMetadata"]
 
-LONGEST_METADATA: Final = 256  # bytes; a longer attachment is not looked at
+LONGEST_METADATA: Final = 256  # bytes; a longer attachment is ignored
 _LONGEST_MS: Final = 86_400_000  # a day
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class CallMetadata:
-    """What a server may want to know of a call besides its message.
+    """What a server may want to know about a call besides its message.
 
     Attributes:
-        client: 16 bytes that the calls of one client share, b"" where it does not say.
-        left_ms: For how long the asker waits from now on [ms], None where it does not say.
+        client: 16 bytes shared by all calls of one client; b"" if unknown.
+        left_ms: How much longer the client waits [ms]; None if unknown.
     """
 
     client: bytes = b""
     left_ms: int | None = None
 
     def to_bytes(self) -> bytes:
-        """As an attachment."""
+        """The attachment's bytes."""
         message: dict[str, object] = {"client": self.client}
         if self.left_ms is not None:
             message["left_ms"] = self.left_ms
@@ -42,7 +42,7 @@ class CallMetadata:
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Self:
-        """Reads an attachment; one of another form says nothing, for it may be another program's."""
+        """Reads an attachment; one of another form, perhaps another program's, counts as empty."""
         if len(data) > LONGEST_METADATA:
             return cls()
         try:

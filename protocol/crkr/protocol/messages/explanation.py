@@ -1,4 +1,4 @@
-"""Why the model answers as it does: the samples behind it, and what suppressed a sample."""
+"""Why the model gives an answer: the samples behind it, and what suppressed a sample."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ class Neighbour:
 @final
 @dataclass(frozen=True, slots=True)
 class SampleExplanation:
-    """Where one sample stands.
+    """Status of one sample.
 
     Attributes:
         id: The sample.
         active: It is in the model.
         eligible: It may be learned from.
-        suppressor: The better sample nearest to it; None where there is none or the selector knows none.
+        suppressor: The better sample nearest to it; None without one.
         radius: Distance to the suppressor in creation length-scales; None where it is infinite or unknown.
     """
 
@@ -54,13 +54,13 @@ class SampleExplanation:
 @final
 @dataclass(frozen=True, slots=True)
 class Grounds:
-    """What the goal for a state rests on.
+    """What the goal for a state is based on.
 
     Attributes:
         policy: "mean" of the samples, or "corrected" by what earlier trials led to.
         samples: Active samples behind the mean.
-        success_probability: How likely the goal succeeds; None where nothing is known.
-        tried: Trials looked at that were tried in the states nearest to this one.
+        success_probability: Probability that the goal succeeds; None if unknown.
+        tried: Number of trials considered, those in the states nearest to this one.
         succeeded: How many of these succeeded.
     """
 
@@ -72,7 +72,7 @@ class Grounds:
 
     @classmethod
     def from_wire(cls, message: Mapping[str, Any]) -> Grounds:
-        """Reads them; raises `Invalid`."""
+        """Reads the fields; raises `Invalid`."""
         chance = message.get("success_probability")
         return cls(
             text(required(message, "policy"), "policy"),
@@ -91,8 +91,8 @@ class Explanation:
     Attributes:
         neighbours: Most influential active samples, largest |weight| first.
         novelty: In [0, 1].
-        sample: Where the sample asked about stands, if one was.
-        grounds: What the goal rests on; None from a server of version 0.1, and for a state that the task refuses.
+        sample: Status of the sample asked about, if any.
+        grounds: What the goal is based on; None from a server of version 0.1, and for a state that the task refuses.
     """
 
     neighbours: tuple[Neighbour, ...]
@@ -102,7 +102,7 @@ class Explanation:
 
     @property
     def summary(self) -> str:
-        """What the goal rests on, in one sentence; "" where that is not known."""
+        """What the goal is based on, in one sentence; "" if unknown."""
         own = self.grounds
         if own is None:
             return ""
@@ -118,7 +118,7 @@ class Explanation:
         return f"The goal is {basis}{seen}{hope}."
 
     def to_wire(self) -> dict[str, Any]:
-        """The answer as a message map; the sample's fields stand beside the others."""
+        """The answer as a message map; the sample's fields are beside the others."""
         message: dict[str, Any] = {
             "neighbours": [
                 {"id": n.id, "weight": n.weight, "cost": n.cost, "distance": n.distance} for n in self.neighbours

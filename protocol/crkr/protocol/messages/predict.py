@@ -1,4 +1,4 @@
-"""The question "in these states, which goals?" and its answer."""
+"""The question "which goals in these states?" and its answer."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class PredictRequest:
     Attributes:
         states: (d,) or (b, d).
         explore: Draw a goal to try, rather than the best known.
-        trial_ids: One a state, or empty: then the server makes them.
+        trial_ids: One for each state, or empty: then the server makes them.
         worker: Name of the asking worker.
     """
 
@@ -60,7 +60,7 @@ class PredictRequest:
 
     @property
     def count(self) -> int:
-        """How many states are asked about."""
+        """Number of states."""
         return 1 if self.states.ndim == 1 else len(self.states)
 
     @classmethod
@@ -131,9 +131,9 @@ class Prediction:
         predicted_outcome: (q,) or (b, q) where it is modelled.
         predicted_outcome_sd: The same shape.
         compute_us: Time of the model itself [us], 0 where not measured.
-        corrected: () or (b,) flags: whose goal was moved from its mean because of the outcome expected there. Not sent:
-            over the network `policy` says it of all. None where outcomes are not modelled.
-        success_probability: () or (b,) how likely the goals succeed, NaN where nothing is known; None from a server of
+        corrected: () or (b,) flags: goals moved from the mean because of the expected outcome. Not sent: over the
+            network `policy` says it for all. None where outcomes are not modelled.
+        success_probability: () or (b,) probability that the goals succeed, NaN if unknown; None from a server of
             version 0.1.
     """
 
@@ -154,22 +154,22 @@ class Prediction:
 
     @property
     def goal(self) -> Array:
-        """The same as `goals`; reads better for one state."""
+        """`goals`, for one state."""
         return self.goals
 
     @property
     def mean(self) -> Array:
-        """The same as `means`."""
+        """`means`, for one state."""
         return self.means
 
     @property
     def sigma(self) -> Array:
-        """The same as `sigmas`."""
+        """`sigmas`, for one state."""
         return self.sigmas
 
     @property
     def state(self) -> Array:
-        """The same as `states`."""
+        """`states`, for one state."""
         return self.states
 
     @property
@@ -180,9 +180,9 @@ class Prediction:
         return self.trial_ids[0]
 
     def expectation(self, row: int | None = None) -> dict[str, Any]:
-        """What is expected of a goal, as `info` of its trial: {"predicted": ...}; {} where nothing is known.
+        """The expectation for a goal, as `info` of its trial: {"predicted": ...}; {} if unknown.
 
-        Displays compare it with what came of the goal.
+        Displays compare it with the trial's result.
 
         Args:
             row: Which goal of a batch.
@@ -200,9 +200,9 @@ class Prediction:
 
     @classmethod
     def joined(cls, parts: Sequence[Prediction]) -> Prediction:
-        """One answer for all the states of several batches, in order.
+        """One answer for the states of several batches, in order.
 
-        Where models of different versions gave them, version and count are those of the oldest.
+        If their models differ, version and count are those of the oldest.
         """
 
         def rows(name: str) -> NDArray[Any] | None:

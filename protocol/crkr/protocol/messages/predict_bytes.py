@@ -1,7 +1,7 @@
-"""Questions about one state and their answers as bytes, several times quicker than by a map, and the same bytes.
+"""Questions about one state and their answers, packed without a map: the same bytes in a fraction of the time.
 
-Such messages differ from one another in a few numbers and an id. All between is encoded once, and compared when read;
-a message of any other form is left to the codec.
+Such messages differ in a few numbers and an id only. The rest is encoded once, and compared when read; a message of any
+other form is left to the codec.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _LONGEST: Final = 128  # name of a worker
 
 
 class Question(NamedTuple):
-    """What is asked about one state.
+    """A question about one state.
 
     Attributes:
         state: 8 d bytes, little-endian float64, not checked.
@@ -52,7 +52,7 @@ class Question(NamedTuple):
 
 
 def packed_question(state: Array, explore: bool, trial_id: bytes, worker: str | None) -> bytes:
-    """The question about one state (d,), as `pack` writes `PredictRequest.to_wire`.
+    """Packs the question about one state (d,), as `pack` does with `PredictRequest.to_wire`.
 
     Args:
         state: Float64, checked.
@@ -66,7 +66,7 @@ def packed_question(state: Array, explore: bool, trial_id: bytes, worker: str | 
 
 @lru_cache(256)
 def _question(dimensions: int, explore: bool, worker: str | None) -> tuple[bytes, bytes, bytes]:
-    """What stands before the state, between it and the id, and after that."""
+    """The bytes before the state, between state and id, and after the id."""
     count = 2 + explore + (worker is not None)
     head = bytes([0x80 + count]) + _array_head("states", 8 * dimensions, False)
     middle = (_entry("explore", True) if explore else b"") + _ID_HEAD
@@ -74,7 +74,7 @@ def _question(dimensions: int, explore: bool, worker: str | None) -> tuple[bytes
 
 
 def read_question(data: bytes, dimensions: int) -> Question | None:
-    """The question about one state (d,) with d = `dimensions`, or None where its form is another."""
+    """Reads the question about one state (d,) with d = `dimensions`; None for any other form."""
     found = _question_form(dimensions).fullmatch(data)
     if found is None:
         return None
@@ -108,7 +108,7 @@ def _name(data: bytes) -> str:
 
 
 def read_answer(data: bytes, state: Array, outputs: int) -> Prediction | None:
-    """The answer about one state (d,) whose goal has p = `outputs` numbers, or None where its form is another.
+    """Reads the answer about one state (d,) whose goal has p = `outputs` numbers; None for any other form.
 
     Its arrays are read-only views of one copy of the numbers.
     """
@@ -167,7 +167,7 @@ def _count(data: bytes) -> int | None:
 
 
 def state_bytes(message: Mapping[str, Any], dimensions: int) -> bytes | None:
-    """The 8 d bytes of a request's one state, or None where its form is another that needs a full look."""
+    """The 8 d bytes of a request's one state; None for a form that needs the full check."""
     states = message.get("states")
     if type(states) is not dict or states.get("dtype") != "<f8" or states.get("shape") != [dimensions]:
         return None
@@ -176,12 +176,12 @@ def state_bytes(message: Mapping[str, Any], dimensions: int) -> bytes | None:
 
 
 def packed_rows(answer: Prediction, ids: Sequence[bytes], compute_us: int) -> Iterator[bytes]:
-    """One reply a state, each as if its state had been asked about alone.
+    """One reply for each state, as if each had been asked about alone.
 
     Args:
         answer: For one state (d,) or for many (b, d).
         ids: b ids of 16 bytes.
-        compute_us: Time of the model [us], for all of them.
+        compute_us: Time of the model for all of them [us].
     """
     last = _entry("compute_us", compute_us)
     tail = _scalars(answer.model_version, answer.active, answer.policy) + last
@@ -206,7 +206,7 @@ def packed_rows(answer: Prediction, ids: Sequence[bytes], compute_us: int) -> It
 
 
 def _column(name: str, array: Array, count: int) -> tuple[bytes, bytes, int]:
-    """What stands before each row's bytes, the bytes of all rows, and how many there are in a row."""
+    """The bytes before each row, the bytes of all rows, and how many each row has."""
     data = array.astype("<f8", copy=False).tobytes()
     width = len(data) // count
     scalar = array.ndim == 0 or (array.ndim == 1 and width == 8 and name in _SCALARS)
@@ -222,5 +222,5 @@ def _array_head(name: str, width: int, scalar: bool) -> bytes:
 
 @lru_cache(256)
 def _scalars(model_version: int, active: int, policy: str) -> bytes:
-    """The same in every answer of a model."""
+    """The part that all answers of a model share."""
     return pack({"model_version": model_version, "active": active, "policy": policy})[1:]

@@ -1,4 +1,4 @@
-"""The statement "these goals cost that", its receipt, and stored trials as the log returns them."""
+"""Reported trials, the receipt, and stored trials as the log returns them."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class ReportRequest:
 
     @classmethod
     def from_wire(cls, message: Mapping[str, Any], spec: TaskSpec) -> ReportRequest:
-        """Reads a request; raises `Invalid` that says which trial is wrong."""
+        """Reads a request; raises `Invalid`, which says which trial is wrong."""
         entries = required(message, "trials")
         if not isinstance(entries, list) or not 1 <= len(entries) <= MAX_TRIALS:
             got = f"{len(entries)}" if isinstance(entries, list) else type(entries).__name__
@@ -56,11 +56,11 @@ class ReportRequest:
 @final
 @dataclass(frozen=True, slots=True)
 class Receipt:
-    """What became of a report; when you hold it, the trials are stored.
+    """The receipt of a report: its trials are stored.
 
     Attributes:
         accepted: New trials.
-        duplicates: Trials that were stored before with the same content.
+        duplicates: Trials that were already stored with the same content.
         seqs: Log positions in the order of the request.
         model_version: Log position that the model had applied when this was written.
     """
@@ -96,10 +96,10 @@ class StoredTrial:
     """A trial as the log holds it.
 
     Attributes:
-        trial: The trial, with its present cost.
+        trial: The trial, with its current cost.
         seq: Its log position.
         time: When it was committed [unix s].
-        removed: Taken out of learning by `remove`.
+        removed: Excluded from learning by `remove`.
     """
 
     trial: Trial

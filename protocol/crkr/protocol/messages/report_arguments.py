@@ -1,4 +1,4 @@
-"""The arguments of `report`, in process or remote, and the trials that they mean."""
+"""The arguments of `report`, in process or remote, and the trials made from them."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ class TrialFields(_Told, total=False):
     """The arguments of every `report`, in process or remote, for one trial or for a batch of b.
 
     Attributes:
-        state: (d,) or (b, d); may be absent where an answer of `predict` is given, and so may `goal`.
+        state: (d,) or (b, d); state and goal may be omitted with an answer of `predict`.
         goal: (p,) or (b, p) executed, within the bounds; overrides the answer's goals.
-        cost: In [0, 1], one or b; None or absent for kind "failed", and where the task's cost is a "label".
+        cost: In [0, 1], one or b; None or omitted for kind "failed", and where the task's cost is a "label".
         success: Whether it did what was wanted: one flag, or b.
         kind: "trial", "demonstration", "evaluation" or "failed", for all of them; "trial" unless given.
         id: One id, or b; the answer's, or new ones, unless given.
@@ -53,12 +53,12 @@ class TrialFields(_Told, total=False):
 
 
 def make_trials(spec: TaskSpec, answer: Prediction | None = None, **fields: Unpack[TrialFields]) -> tuple[Trial, ...]:
-    """Checks the arguments of `report` and makes trials of them.
+    """Checks the arguments of `report` and makes the trials.
 
     Args:
         spec: The task.
         answer: The prediction that was tried; gives state, goal, ids and model_version.
-        fields: What was done and how it went, see `TrialFields`.
+        fields: What was tried and its result, see `TrialFields`.
 
     Raises:
         Invalid: Neither answer nor state and goal, sizes that disagree, or a value that is not allowed.
@@ -104,7 +104,7 @@ def make_trials(spec: TaskSpec, answer: Prediction | None = None, **fields: Unpa
 
 
 def _check_names(fields: TrialFields) -> None:
-    """Raises `TypeError` as a signature with these names would."""
+    """Raises `TypeError`, as a signature with these names would."""
     if unknown := fields.keys() - TrialFields.__annotations__.keys():
         raise TypeError(f"report() got an unexpected keyword argument {min(unknown)!r}")
     if missing := TrialFields.__required_keys__ - fields.keys():
@@ -112,7 +112,7 @@ def _check_names(fields: TrialFields) -> None:
 
 
 def _one_each(value: Any, name: str, count: int) -> list[Any]:
-    """`count` values, from one for all or one each."""
+    """`count` values, from one value for all or one for each."""
     refuse_masked(value, name)
     listed = isinstance(value, list | tuple) or (isinstance(value, np.ndarray) and value.ndim > 0)
     values = list(value) if listed else [value] * count

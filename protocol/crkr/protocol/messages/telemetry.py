@@ -1,4 +1,4 @@
-"""What a worker publishes after each trial, so that a dashboard needs no skill code. It may be dropped on the way."""
+"""What a worker publishes after each trial, so that a dashboard needs no skill code. Messages may be lost."""
 
 from __future__ import annotations
 
@@ -43,14 +43,14 @@ class Geom:
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Trace:
-    """What happened in one trial, for people to look at.
+    """The motion of one trial, for displays.
 
     Attributes:
         time: (n,) seconds since the trial's start [s].
         bodies: Names of the b moving bodies.
         positions: (n, b, 3) body positions in the world frame [m].
         quaternions: (n, b, 4) rotations world-from-body, scalar last (x, y, z, w).
-        paths: Names of points worth a line, e.g. "ball", each (n, 3) in the world frame [m].
+        paths: Points drawn as lines, e.g. "ball", each (n, 3) in the world frame [m].
     """
 
     time: Array
@@ -60,7 +60,7 @@ class Trace:
     paths: Mapping[str, Array] = field(default_factory=dict)
 
     def to_wire(self) -> dict[str, Any]:
-        """The trace as a message map; poses as <f4, which is a tenth of a micrometre at arm's length."""
+        """The trace as a message map; poses as <f4, precise to a tenth of a micrometre at arm's length."""
         return {
             "time": self.time,
             "bodies": list(self.bodies),

@@ -37,7 +37,7 @@ def _name(entry: object, where: str) -> tuple[Mapping[str, Any], str, str]:
 @final
 @dataclass(frozen=True, slots=True)
 class StateDimension:
-    """One coordinate of the situation; the box describes and refuses nothing.
+    """One coordinate of the state; its range scales distances and refuses nothing.
 
     Attributes:
         name: Field's name, unique in the spec.
@@ -74,7 +74,7 @@ class GoalDimension:
         unit: Unit of the values, e.g. "rad".
         low: Smallest goal allowed [unit].
         high: Largest goal allowed [unit].
-        scale: Size of a usual difference between good goals [unit]; (high - low) / 4 unless given, 1 if they are equal.
+        scale: Typical difference between good goals [unit]; (high - low) / 4 unless given, 1 if low = high.
     """
 
     name: str
@@ -90,7 +90,7 @@ class GoalDimension:
         low, high = _box(entry, where)
         if low > high:
             raise Invalid(f"{where} ({name}) needs low <= high; got [{low}, {high}]")
-        usual = (high - low) / 4 or 1.0  # one value only: nothing to scale by
+        usual = (high - low) / 4 or 1.0  # a single value has no scale
         scale = number(entry.get("scale", usual), f"{where}.scale", above=0.0)
         return cls(name, unit, low, high, scale)
 
@@ -106,7 +106,7 @@ class OutcomeEntry:
         target: What a perfect trial measures [unit].
         tolerance: Deviation from the target that still succeeds [unit].
         group: Entries of one group are observed together.
-        aim: "equal" to the target; or "at_least" or "at_most" it, where more or less is as good, as of a clearance.
+        aim: "equal" to the target; "at_least" or "at_most" where more or less is as good, as with a clearance.
     """
 
     name: str

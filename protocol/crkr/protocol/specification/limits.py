@@ -32,10 +32,10 @@ __all__ = [
 
 MOST_ACTIVE: Final = 5000  # samples in a model: a new one takes about a second then, and 200 MB
 MOST_KEPT: Final = 3000  # samples that the selector "full", which has no budget, learns from
-MOST_NEIGHBOURS: Final = 200  # trials that a local outcome model is fitted to: a fit takes the cube of them
+MOST_NEIGHBOURS: Final = 200  # trials that a local outcome model is fitted to, in cubic time
 _LARGEST: Final = 1e100  # coordinates in their units, whose squares are numbers too
 _SMALLEST: Final = 1e-100  # lengths in the units of their coordinates
-_FINEST: Final = 1e12  # times its length is what a coordinate may be or span: float64 tells no more apart
+_FINEST: Final = 1e12  # length-scales that a coordinate may be or span; beyond, float64 is too coarse
 _LEAST_VARIANCE: Final = 1e-12  # of scaled goals
 _LEAST: Final = 1e-30  # of settings in scaled units that are not zero
 _MOST_TEMPERATURES: Final = 64
@@ -52,8 +52,8 @@ def refuse_absurd(spec: TaskSpec, before: TaskSpec | None = None) -> None:
     """Raises `Invalid` for the first number that is beyond the limits.
 
     Args:
-        spec: What is to be served.
-        before: What was served until now; its own faults are not held against the change.
+        spec: The new specification.
+        before: The current one; its own faults are not held against the change.
     """
     known = set() if before is None else set(_faults(before))
     for field, wrong in _faults(spec):
@@ -163,7 +163,7 @@ def most_states(spec: TaskSpec) -> int:
 
 def most_active(states: int, goals: int) -> int:
     """Active samples of a model that fits into one answer, for d = `states` and p = `goals`."""
-    recent = MOST_RECENT * (states + 1)  # trials that tell how likely a success is
+    recent = MOST_RECENT * (states + 1)  # trials for the probability of success
     once = _REST + _NUMBER * (2 * states + 4 * goals + recent)  # the settings
     return (MAX_MESSAGE_BYTES - once) // (_NUMBER * (states + goals + 1) + _ID)
 

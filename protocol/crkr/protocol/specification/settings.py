@@ -11,8 +11,8 @@ from crkr.protocol.errors import Invalid, shown
 
 __all__ = ["EARLIER_EXPLORATION", "LARGEST", "Exploration", "KernelSettings", "Start"]
 
-LARGEST: Final = 1e6  # of a setting in scaled units: beyond, products overflow and answers stop being numbers
-MOST_TRIALS: Final = 20_000  # that are searched for the nearest
+LARGEST: Final = 1e6  # of a setting in scaled units; larger products overflow
+MOST_TRIALS: Final = 20_000  # of trials to search for
 
 
 def _map(value: object, name: str) -> Mapping[str, Any]:
@@ -24,7 +24,7 @@ def _map(value: object, name: str) -> Mapping[str, Any]:
 @final
 @dataclass(frozen=True, slots=True)
 class KernelSettings:
-    """Squared-exponential kernel with one length-scale a dimension, and an optional linear term.
+    """Squared-exponential kernel with one length-scale per dimension, and an optional linear term.
 
     Attributes:
         type: "se-ard", the only one.
@@ -54,15 +54,15 @@ class Exploration:
 
     Attributes:
         type: "gaussian" (the paper) or "outcome" (guided by measured outcomes).
-        trust: Standard deviations of the mean that the outcome model may move it.
+        trust: Standard deviations by which the outcome model may move the mean.
         temperature: Scales of the draw, one chosen per trial.
         neighbours: Trials that each local outcome model is fitted to; more than 200 count as 200.
         iterations: Updates of the goal by the outcome model.
         min_trials: Executed trials before the outcome model is used.
         gate: Predicted outcome, in tolerances, above which the mean is corrected.
-        model: Local outcome model: "gp", a Gaussian process that bends near by; "line", which does not, or "quadratic".
-        candidates: Goals that an answer without exploration is chosen among, beside the mean and the corrected one.
-        drift: Whether the outcome model restarts by itself where the robot has changed.
+        model: Local outcome model: "gp", a Gaussian process, "line" or "quadratic".
+        candidates: Goals compared for an answer without exploration, besides the mean and the corrected goal.
+        drift: Restart the outcome model when the robot has changed.
     """
 
     type: str = "gaussian"
@@ -97,7 +97,7 @@ class Exploration:
         )
 
 
-# What version 0.1 filled in where a specification said nothing.
+# Defaults of version 0.1.
 EARLIER_EXPLORATION: Final = Exploration(
     "outcome", temperature=(0.1, 0.5), neighbours=60, iterations=2, min_trials=20, gate=2.0
 )
@@ -106,12 +106,12 @@ EARLIER_EXPLORATION: Final = Exploration(
 @final
 @dataclass(frozen=True, slots=True)
 class Start:
-    """What is explored before anything succeeded.
+    """Exploration before the first success.
 
     Attributes:
         type: "space-filling": a low-discrepancy sequence over the goal's bounds, until outcomes or successes guide; or
             "demonstrations": nothing, `NO_SAMPLES` asks for a demonstration.
-        count: Trials that fill space even where there is more to go by.
+        count: Trials that fill the space even if something is known.
     """
 
     type: str = "space-filling"

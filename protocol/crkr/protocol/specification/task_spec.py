@@ -62,10 +62,10 @@ class TaskSpec:
         novel: "predict" or "refuse" states above the limit.
         novelty_limit: In [0, 1].
         selector: Which samples are active: "anms", "full" or "freeze".
-        refit_every: Eligible samples between evidence fits; 0 is only on request.
-        start: What is explored before anything succeeded.
-        cost: "measured" in every executed trial; or "label": a trial may leave it out, and success alone says it.
-        skill: What executes its goals, as `crkr workers` names it, so that other commands need not be told.
+        refit_every: Eligible samples between evidence fits; 0: only on request.
+        start: Exploration before the first success.
+        cost: "measured" in every executed trial; or "label": a trial may omit it, and success sets it.
+        skill: The skill that executes its goals, as `crkr workers` names it; other commands use it as a default.
     """
 
     name: str
@@ -105,7 +105,7 @@ class TaskSpec:
         """
         if not isinstance(data, Mapping):
             raise Invalid(f"a task specification is a map; got {type(data).__name__}")
-        if strict:  # first, as a required field may be there under a misspelt name
+        if strict:  # first: a missing field may be there under a misspelt name
             _refuse_unknown(data, cls.__dataclass_fields__, "the specification")
         fields: dict[str, Any] = {
             "name": check_name(required(data, "name")),
@@ -158,12 +158,12 @@ class TaskSpec:
         return hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()
 
     def differences(self, other: TaskSpec) -> dict[str, list[Any]]:
-        """Fields, description and skill aside, in which `other` differs: name -> [this, other]."""
+        """Fields in which `other` differs, description and skill aside: name -> [this, other]."""
         mine, theirs = self.to_dict(), other.to_dict()
         if self.exploration.type == other.exploration.type == "gaussian" or (
             {self.exploration, other.exploration} == {Exploration(type="outcome"), EARLIER_EXPLORATION}
         ):
-            del mine["exploration"]  # without effect, or what each version filled in
+            del mine["exploration"]  # no effect, or the default of each version
         return {name: [mine[name], theirs[name]] for name in mine if name not in _APART and mine[name] != theirs[name]}
 
     @property
@@ -193,7 +193,7 @@ def _refuse_unknown(given: Mapping[str, Any], known: Collection[str], where: str
 
 
 def _refuse_unknown_within(given: Mapping[str, Any], spelt_out: Mapping[str, Any]) -> None:
-    """The same for axes and groups of settings: `spelt_out` is what was read from `given`, every default filled in."""
+    """The same for axes and groups of settings; `spelt_out` is `given` with every default filled in."""
     for name, value in given.items():
         if isinstance(value, Mapping):
             _refuse_unknown(value, spelt_out[name], name)

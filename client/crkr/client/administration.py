@@ -40,7 +40,7 @@ class Administration(ABC):
         reason: str = "",
         timeout_s: float | None = None,
     ) -> dict[str, Any]:
-        """Corrects stored trials, and what was learned from them; the log keeps what was reported.
+        """Corrects stored trials and what was learned from them; the log keeps the reports.
 
         A correction that is repeated changes nothing.
 

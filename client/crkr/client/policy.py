@@ -1,4 +1,4 @@
-"""What a program that learns by trying needs: ask for a goal, report what it cost. Write against this interface."""
+"""The interface for programs that learn by trying: ask for a goal, report its cost."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ __all__ = ["AsyncPolicy", "Policy"]
 
 
 class Policy(Protocol):
-    """`crkr.learner.Learner` in process, `Task` at a server and `Mirror`, its local copy, are policies."""
+    """A policy: `crkr.learner.Learner` in process, `Task` at a server, or `Mirror`, its local copy."""
 
     def predict(self, states: object, explore: bool = False, *, trial_ids: Sequence[UUID] | None = None) -> Prediction:
         """Goals for one state (d,) or a batch (b, d).
@@ -30,11 +30,11 @@ class Policy(Protocol):
         """
 
     def report(self, answer: Prediction | None = None, **trial: Unpack[TrialFields]) -> Receipt:
-        """Stores what one trial or a batch cost, all or nothing; the same id again is stored once.
+        """Reports one trial or a batch, all or none; a repeated id is stored once.
 
         Args:
             answer: The prediction that was tried; or give `state` and `goal`.
-            trial: What was done and how it went.
+            trial: What was tried and its result.
 
         Raises:
             Invalid: A value of the wrong shape or out of range.

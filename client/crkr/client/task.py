@@ -137,13 +137,13 @@ class Task(Administration):
         timeout_s: float | None = None,
         **trial: Unpack[TrialFields],
     ) -> Receipt:
-        """Stores what one trial or a batch cost. The trials are on the server's disk when this returns.
+        """Reports one trial or a batch. The trials are on the server's disk when this returns.
 
         Args:
             answer: The prediction that was tried; or give `state` and `goal`.
             wait: Return only after the model includes it.
             timeout_s: Deadline [s].
-            trial: What was done and how it went, see `crkr.protocol.TrialFields`.
+            trial: What was tried and its result, see `crkr.protocol.TrialFields`.
 
         Raises:
             Invalid: A value of the wrong shape or out of range; nothing was stored.
@@ -192,7 +192,7 @@ class Task(Administration):
         id: UUID | Sequence[UUID] | None = None,  # noqa: A002 - the protocol's word
         timeout_s: float | None = None,
     ) -> list[StoredTrial]:
-        """Some stored trials as they are today, amended and removed ones too; the newest 10 unless told otherwise.
+        """Stored trials in their current form, amended and removed ones too; the newest 10 by default.
 
         Args:
             last: That many of the newest, newest first.
@@ -222,7 +222,7 @@ class Task(Administration):
             yield from page
 
     def explain(self, state: object, sample_id: UUID | None = None, *, timeout_s: float | None = None) -> Explanation:
-        """The samples that determine the answer for a state (d,), and the standing of one sample."""
+        """The samples that determine the answer for a state (d,), and the status of one sample."""
         spec, timeout_s = self._specified(timeout_s)
         message: dict[str, Any] = {"state": finite_array(state, "state", (len(spec.state),))}
         if sample_id is not None:
@@ -241,7 +241,7 @@ class Task(Administration):
         """Shows a worker as alive until the returned object is closed.
 
         Raises:
-            Invalid: An id that cannot stand in a key.
+            Invalid: An id that a key cannot contain.
             Conflict: A living worker has that id.
         """
         return self._rpc.transport.announce(self.name, worker_id, self._rpc.deadline(timeout_s))
@@ -306,7 +306,7 @@ class Task(Administration):
         Raises:
             StorageError: The file cannot be opened, is no outbox, or is open already.
             Conflict: It belongs to another task.
-            Unavailable: The file is new and no server tells the task's specification.
+            Unavailable: The file is new and no server sends the task's specification.
         """
         return Outbox(self._rpc, self.name, Path(path), self._look, timeout_s)
 

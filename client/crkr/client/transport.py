@@ -1,4 +1,4 @@
-"""What the client needs of a network. `Client` uses Zenoh unless it is given something else, such as a test's own."""
+"""The network as the client sees it. `Client` uses Zenoh unless it is given another transport, such as a test's."""
 
 from __future__ import annotations
 

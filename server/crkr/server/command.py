@@ -32,11 +32,11 @@ __all__ = ["server"]
 
 logger = logging.getLogger(__name__)
 
-_SWITCH_S: Final = 0.0001  # a prediction waits about this long for a thread that computes in Python
+_SWITCH_S: Final = 0.0001  # a prediction waits this long for a thread that computes in Python
 _GARBAGE: Final = 10_000  # new objects between collections; almost nothing here is cyclic
 _LAST_PORT: Final = 65535
-_SEEN: Final = "CRKR_SEEN_POSITIONS"  # log positions that this process saw before it began anew
-_EXIT_PATIENCE_S: Final = 1.9  # then the process leaves as it is: everything acknowledged is committed anyway
+_SEEN: Final = "CRKR_SEEN_POSITIONS"  # log positions that this process saw before its restart
+_EXIT_PATIENCE_S: Final = 1.9  # then the process exits: everything acknowledged is committed
 
 
 def server(
@@ -73,7 +73,7 @@ def server(
     ] = None,
     log_level: Annotated[str, typer.Option(envvar="CRKR_LOG_LEVEL", help="debug, info, warning or error.")] = "info",
 ) -> None:
-    """Run the policy service. Ctrl-C ends it; the same command goes on with what is stored.
+    """Run the policy service. Ctrl-C ends it; the same command continues with the stored data.
 
     Example: crkr server --listen tcp/127.0.0.1:7447 --data crkr-data --web 8080
     """
@@ -128,7 +128,7 @@ def server(
 
 
 def _begin_anew(membership: Membership | None) -> NoReturn:
-    """Let the process begin anew under its id: a Zenoh session that closes under load leaves threads behind."""
+    """Restart the process under the same id: a Zenoh session that closes under load leaves threads behind."""
     if membership is not None:
         os.environ[_SEEN] = str(membership.positions())
     os.execv(sys.executable, [sys.executable, *sys.orig_argv[1:]])
@@ -137,7 +137,7 @@ def _begin_anew(membership: Membership | None) -> NoReturn:
 def _open(
     settings: ServerSettings, listen: str, say: Callable[[str], None], lost: socket.socket
 ) -> tuple[TaskLog, list[ServedTask], Membership | None]:
-    """The log and its tasks; one that servers share is waited for, and `lost` is told once its tasks are lost."""
+    """The log and its tasks. Waits for a shared log; `lost` is called once if its tasks are lost."""
     from crkr.server.log.postgres.url import is_url
 
     if not is_url(settings.data):
@@ -180,8 +180,7 @@ def _address(given: str, option: str, usual: int) -> tuple[str, int]:
 def _stop_signal() -> socket.socket:
     """A socket that receives a byte at SIGTERM, Ctrl-C, or the terminal's hang-up unless `nohup` ignores that.
 
-    An event set by a handler would not do: the handler runs on the main thread, which deadlocks on the event's own lock
-    if it is just inside `wait`.
+    A handler must not set an event: it runs on the main thread, which deadlocks on the event's lock inside `wait`.
     """
     reader, writer = socket.socketpair()
     writer.setblocking(False)
@@ -193,7 +192,7 @@ def _stop_signal() -> socket.socket:
 
 
 def _leave_before(told_to_stop: socket.socket, serving: threading.Event, log: StderrLog) -> None:
-    """End the process if the signal comes before it serves: a long log may take a minute, and nothing is lost."""
+    """End the process if the signal comes before it serves; restoring a long log may take a minute."""
     told_to_stop.recv(1, socket.MSG_PEEK)
     if not serving.is_set():
         log.flush()

@@ -1,6 +1,6 @@
-"""A server that stands by: it follows a shared log with models of its own, until it may serve.
+"""A standby server: it follows a shared log with its own models until it may serve.
 
-It serves once no other server does, and takes all tasks; or, if it was given peers, once it reaches all that serve.
+It serves once no other server does, and takes all tasks; with peers, once it reaches all servers.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class Follower:
         url: The database.
         endpoint: Where this server listens once it serves.
         say: Prints a line for people.
-        peers: Endpoints of servers to share the tasks with; none: this server stands by while another serves.
+        peers: Endpoints of servers to share the tasks with; none: stand by while another server serves.
         zenoh_config: The server's Zenoh configuration file.
         known: Log positions that this process saw before.
 
@@ -74,8 +74,8 @@ class Follower:
     def take(self) -> tuple[PostgresLog, list[ServedTask]]:
         """Wait until this server may serve; returns the log, and the tasks that it owns, all or none.
 
-        Nothing is lost if the process ends meanwhile. A database that is away is waited for, and so is one that went
-        back to an older state: what serves must not lack what was acknowledged.
+        The process may end meanwhile without loss. Waits for a database that is away or went back to an older state,
+        because no acknowledged entry may be missing.
 
         Raises:
             StorageError: As the class.
@@ -105,14 +105,14 @@ class Follower:
         try:
             roster = self._lease.look()
         except ShuttingDown as error:
-            if error.__cause__ is None:  # this process was held up, and others took it for dead
+            if error.__cause__ is None:  # this process was held up, and others declared it dead
                 self._lease.give_up()
                 self._lease = None
             raise
         serving = [member for member in roster.serving if member.id != self._lease.me]
         if serving:
             if self._reaches({member.id.hex for member in serving}):
-                self._tasks.clear()  # others own them, and more came meanwhile
+                self._tasks.clear()  # others own them, and added entries meanwhile
                 return PostgresLog(self._url, self._lease)
             self._tell(f"standing by: the server at {serving[0].address} serves {printable_location(self._url)}")
         if self._reads is None:
@@ -137,7 +137,7 @@ class Follower:
         free = [row for row in self._lease.tasks() if not row.name.startswith(DELETED)]
         log = PostgresLog(self._url, self._lease, self._lease.take(free))
         with self._lease.beating():
-            catch_up(log.reads, self._tasks)  # what the owner before stored last
+            catch_up(log.reads, self._tasks)  # the last entries of the previous owner
         logger.info("took %d tasks in %.3f s", len(free), time.monotonic() - began)
         return log
 
@@ -156,14 +156,14 @@ class Follower:
             self._reads.close()
 
     def _tell(self, what: str) -> None:
-        """Print what it waits for, once."""
+        """Print once what it waits for."""
         if what != self._told:
             self._told = what
             self._say(what)
 
 
 def _passes(error: BaseException | None) -> bool:
-    """Whether an error comes of a database that is away for now."""
+    """Whether an error means that the database is away for now."""
     while error is not None and not isinstance(error, ShuttingDown):
         error = error.__cause__
     return error is not None

@@ -1,6 +1,6 @@
-"""Whether the code on disk is still the running code; a process started later would run the code on disk.
+"""Detects whether the code on disk is still the running code, which a new process would not share.
 
-An upgrade replaces the files under a running server, and a removed environment deletes them.
+An upgrade replaces the files of a running server, and removing its environment deletes them.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Final, final
 
 __all__ = ["InstalledCode"]
 
-# What a started process shares with the server: our own modules, and the versions of the libraries that compute.
+# Must be the same in both processes: our modules, and the versions of numerical libraries.
 _OURS: Final = ("crkr.protocol", "crkr.learner", "crkr.server")
 _LIBRARIES: Final = ("numpy.version", "scipy.version")
 
@@ -32,11 +32,11 @@ class InstalledCode:
 
     @property
     def is_replaced(self) -> bool:
-        """Whether one of them has changed or is gone."""
+        """Whether a file has changed or is gone."""
         return self._read() != self._digest
 
     def _read(self) -> bytes:
-        """A digest of them all; empty if one cannot be read."""
+        """A digest of all files; empty if one cannot be read."""
         digest = blake2b()
         try:
             for file in self._files:

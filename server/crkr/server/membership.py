@@ -1,12 +1,12 @@
-"""One server's part in a log that several serve: which tasks it takes, and which it hands over.
+"""A server's membership of a group that shares a log: the tasks it takes, and those it hands over.
 
-A task without a living owner is taken by the server with the fewest tasks, by the one that came first among equals. A
-server with more than its share hands its newest ones over. All of them see the same rows, and the epoch in a task's row
-decides where two take it at once.
+The server with the fewest tasks, or the first to come among equals, takes a task without a living owner. A server with
+more than its share hands its newest tasks over. All servers see the same rows, and the epoch in a task's row decides
+when two take it at once.
 
-The routers of the servers are linked, so that a question reaches all of them, wherever it is asked; those that do not
-own its task say nothing. A server that does not see the token of an earlier one for a lease, though its row lives,
-stops serving: a link is cut, and clients of the one would not reach the tasks of the other.
+The servers' routers are linked, so that a question reaches all servers from anywhere; those that do not own its task
+stay silent. A server that does not see the token of an earlier one for a whole lease, while its row lives, stops
+serving: a link is cut, and its clients would not reach the other's tasks.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ __all__ = ["Membership"]
 logger = logging.getLogger(__name__)
 
 _PAUSE_S: Final = 0.02  # between attempts to join, and between looks for unknown tasks
-_PATIENCE_S: Final = 0.5  # with an answer of the other servers, and with news of the lease
+_PATIENCE_S: Final = 0.5  # for an answer of the other servers, and for news of the lease
 _DESCRIBE_S: Final = 1.0  # between descriptions of the tasks for the other servers
 _TOGETHER: Final = 8  # tasks taken at a time
 _MOST_UNKNOWN: Final = 256  # requests for unknown tasks that wait for a look at the log
@@ -44,11 +44,11 @@ _MOST_UNKNOWN: Final = 256  # requests for unknown tasks that wait for a look at
 
 @final
 class Membership:
-    """Takes tasks and hands them over on a thread of its own, and keeps the lease.
+    """Takes tasks and hands them over on its own thread, and keeps the lease.
 
     Attributes:
-        zenoh_id: The id that the server's session must have, by which clients and servers know it.
-        described: Gives what other servers say of tasks, by their names.
+        zenoh_id: The id of the server's session, by which clients and servers know it.
+        described: Returns other servers' descriptions of tasks, by name.
     """
 
     def __init__(self, log: PostgresLog, lost: Callable[[str], None]) -> None:
@@ -61,12 +61,12 @@ class Membership:
         self._entry: Callable[[ServedTask], bytes] = lambda _: b""
         self._news, self._stopped = threading.Event(), threading.Event()
         self._serving: Sequence[Member] = ()
-        self._epoch = -1  # of the roster that the tasks were read for
+        self._epoch = -1  # epoch of the roster for which the tasks were read
         self._leaving: set[str] = set()
         self._unknown: deque[Request] = deque()
         self._session: zenoh.Session | None = None
         self._held: list[Any] = []  # declarations
-        self._seen: dict[str, float] = {}  # when a server's token was there last [s, monotonic]
+        self._seen: dict[str, float] = {}  # when each server's token was last seen [s, monotonic]
         self._tokens: set[str] = set()
         self._described: dict[str, tuple[object, ...]] = {}
         self._describe_at = 0.0
@@ -78,11 +78,11 @@ class Membership:
         return [member.id.hex for member in self._serving]
 
     def positions(self) -> int:
-        """The most log positions that this server saw."""
+        """The largest number of log positions that this server saw."""
         return self._lease.positions
 
     def watch(self, session: zenoh.Session) -> None:
-        """Show this server's token by a session, and look at those of others."""
+        """Show this server's token in a session, and watch those of others."""
         self._session = session
         self._tokens.clear()
         tokens = session.liveliness()
@@ -92,13 +92,13 @@ class Membership:
         ]
 
     def join(self, tasks: Tasks) -> None:
-        """Serve together with the servers that serve already, and note which tasks there are.
+        """Join the servers that already serve, and read the list of tasks.
 
         Args:
-            tasks: Those that this server owns, and serves as soon as it joined.
+            tasks: The tasks that this server owns, and serves once it has joined.
 
         Raises:
-            ShuttingDown: They are not reached.
+            ShuttingDown: The others are not reached.
         """
         self._tasks = tasks
         deadline = time.monotonic() + LEASE_S
@@ -130,14 +130,14 @@ class Membership:
         self._thread.start()
 
     def stop(self, patience_s: float) -> None:
-        """Take and hand over no more."""
+        """Stop taking and handing over."""
         self._stopped.set()
         self._news.set()
         if self._thread.is_alive():
             self._thread.join(patience_s)
 
     def look_up(self, request: Request) -> bool:
-        """Whether a request for an unknown task is answered after a look at the log; not where no other serves."""
+        """Whether a request for an unknown task waits for a look at the log; not if this server is alone."""
         if len(self._serving) == 1:
             return False
         if len(self._unknown) < _MOST_UNKNOWN:
@@ -198,7 +198,7 @@ class Membership:
         return rows
 
     def _refuse(self, request: Request) -> None:
-        """Say that a task is not in the log; its server answers if it is."""
+        """Answers that a task is unknown if the log does not have it; else its server answers."""
         try:
             (self._tasks.look_back if request.scope == "admin" else self._tasks.look)(request.task)
         except UnknownTask as error:
@@ -208,7 +208,7 @@ class Membership:
         request.let_go()  # it is asked again
 
     def _share_out(self, rows: Sequence[TaskRow]) -> None:
-        """Take the free tasks that are this server's, or hand over what it has too many of."""
+        """Take this server's share of the free tasks, or hand over its surplus."""
         me, living = self._lease.me, {member.id for member in self._serving}
         owned = Counter(row.owner for row in rows)
         mine, free = [], 0
@@ -248,7 +248,7 @@ class Membership:
         logger.info("took task %s at epoch %d in %.3f s", row.name, row.epoch, time.monotonic() - began)
 
     def _give(self, task: ServedTask) -> None:
-        """Called on a learning thread, once everything is learned that this server was told."""
+        """Called on a learning thread, once all entries stored here are learned."""
         name = task.name
         try:
             self._ready(task)
@@ -260,7 +260,7 @@ class Membership:
             self._leaving.discard(name)
 
     def _describe(self) -> None:
-        """Let other servers list the tasks of this one."""
+        """Describe this server's tasks for the lists of others."""
         self._describe_at = time.monotonic() + _DESCRIBE_S
         now = {
             task.name: (task, task.model.version, task.spec, task.archived, task.fault) for task in self._tasks.all()
@@ -282,7 +282,7 @@ class Membership:
                 return
 
     def _ask_others(self) -> None:
-        """Find out whether other servers took the tasks while the database is away from here."""
+        """Ask whether other servers took the tasks while the database is away from here."""
         others = {member.id.hex for member in self._serving if member.id != self._lease.me}
         if not others or self._session is None:
             return

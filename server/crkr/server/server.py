@@ -1,4 +1,4 @@
-"""The service: connects its parts, and shuts them down in the order that loses nothing."""
+"""The service: connects its parts, and shuts them down in an order that loses nothing."""
 
 from __future__ import annotations
 
@@ -52,10 +52,10 @@ _QUEUE: Final = 256
 # For a question about many states without a deadline, as from clients of version 0.1.
 _PREDICT_PATIENCE_S: Final = 30.0
 _RENEWAL_S: Final = 1.0  # for a broken session to close
-_BROKEN: Final = 75  # status of the process where no session can be had: a supervisor starts it again
+_BROKEN: Final = 75  # exit status without a session, so that a supervisor restarts the process
 # For any other question without a deadline: less than Zenoh's default timeout of 10 s.
 _PATIENCE_S: Final = 7.5
-_LONGEST_S: Final = 4.0  # that a question may wait for its turn; an ordinary call gives up after 5 s
+_LONGEST_S: Final = 4.0  # longest wait of a question for its turn; an ordinary call gives up after 5 s
 _DRAIN_S: Final = 1.0  # for requests received before the stop
 
 
@@ -67,7 +67,7 @@ def _close_broken(session: zenoh.Session) -> None:
 
 
 def _give_up() -> None:
-    """End the process. Acknowledged entries are in the log, and the next process serves them."""
+    """End the process. Acknowledged entries are in the log, for the next process to serve."""
     logger.critical(
         "Zenoh is broken in this process, and no client can be answered: the process ends with status %d and is to be "
         "started again",
@@ -166,7 +166,7 @@ class Server:
             self._lanes.append(made)
             return dict.fromkeys(verbs.split(), made)
 
-        # Writes keep their order, and are stored even if the client gave up: a late report is data like any other.
+        # Writes keep their order, and are stored even if the client gave up: a late report is still data.
         changes = "recost remove amend undo configure rollback rename archive delete"
         write = lane("write", f"report create_task {changes}", writer.work, MOST_REPORTS, 4096)
         fair: dict[str, Any] = {"fair": True, "patience_s": math.inf}
@@ -212,7 +212,7 @@ class Server:
         for intake in self._intakes:
             intake.start()
         self._workers.watch(self._session)
-        # Last, as clients that see it may ask at once.
+        # Last, because clients that see it may ask at once.
         self._token = self._session.liveliness().declare_token(self._token_key)
         self._seals.start()
         self._renewal.start()
@@ -220,8 +220,8 @@ class Server:
 
     def _renew_session(self) -> None:
         """Close the session and open another; clients reconnect by themselves."""
-        logger.error("Zenoh panics again and again: its session is opened anew, and clients connect again")
-        # A broken session panics or hangs as it closes; its port is free all the same.
+        logger.error("Zenoh panics again and again: its session is opened again, and clients reconnect")
+        # A broken session panics or hangs as it closes, but its port is free.
         closing = threading.Thread(target=_close_broken, args=(self._session,), name="session end", daemon=True)
         closing.start()
         closing.join(_RENEWAL_S)
@@ -270,7 +270,7 @@ class Server:
         return {verb: depth for lane in self._lanes for verb, depth in lane.depths().items()}
 
     def close(self) -> None:
-        """Commit and answer the received requests, then stop. Requests that come meanwhile get `ShuttingDown`."""
+        """Commit and answer the received requests, then stop. New requests get `ShuttingDown`."""
         deadline = time.monotonic() + _DRAIN_S
         FAULTS.call_on_panic(None)
         if self._membership is not None:

@@ -20,7 +20,7 @@ __all__ = ["DEFAULT_LISTEN", "endpoints", "open_session", "reachable_servers"]
 
 DEFAULT_LISTEN: Final = "tcp/127.0.0.1:7447"
 
-# What makes the session crkr's: clients find it by address only, and it answers from the moment it is open.
+# Required: clients find the session by address only, and it answers from the moment it is open.
 _ALWAYS: Final[dict[str, Any]] = {
     "mode": "router",
     "scouting/multicast/enabled": False,
@@ -28,26 +28,24 @@ _ALWAYS: Final[dict[str, Any]] = {
     "scouting/delay": 0,
     "transport/shared_memory/enabled": False,
 }
-# What holds unless a configuration file says otherwise, which is: anything but Zenoh's own default. A silent partition
-# is noticed after one lease [ms].
+# Defaults, where a configuration file keeps Zenoh's own. A silent partition is noticed after one lease [ms].
 _DEFAULTS: Final[dict[str, Any]] = {
     "transport/link/tx/lease": 2000,
-    # A client that asks and does not read holds up the thread that answers it, and so the others, for that long [us];
-    # then it is cut off. One that reads again connects again by itself.
+    # A client that does not read its answers blocks the answering thread, and so others, this long [us], and is then
+    # cut off. It reconnects once it reads again.
     "transport/link/tx/queue/congestion_control/block/wait_before_close": 500_000,
     # Connections that never speak the protocol must not keep others from connecting [ms, count].
     "transport/unicast/accept_timeout": 2000,
     "transport/unicast/accept_pending": 1000,
-    # A message whose last fragment never comes is kept as long as its connection, one for each of seven priorities.
-    # Up to twice a message of the protocol with its key is taken and told to be too large; beyond that there is nothing
-    # to wait for [bytes, count].
+    # An incomplete message is kept as long as its connection, one for each of seven priorities. Up to twice the
+    # protocol's largest message with its key is received and refused as too large; the rest is dropped [bytes, count].
     "transport/link/rx/max_message_size": 2 * MAX_MESSAGE_BYTES + 2**18,
     "transport/unicast/max_sessions": 512,
     "listen/endpoints": [DEFAULT_LISTEN],  # Zenoh's router would listen on every interface
 }
 
-_REACH_S: Final = 1.0  # for the look at other servers
-# A peer may not be there yet, or be away for a while: Zenoh goes on trying, while the session is open already.
+_REACH_S: Final = 1.0  # for finding other servers
+# A peer may not run yet, or be away for a while: Zenoh keeps trying while the session is open.
 _PEERS: Final[dict[str, Any]] = {
     "connect/timeout_ms": 0,
     "connect/retry": {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 2},
@@ -84,7 +82,7 @@ def open_session(
 
 
 def reachable_servers(peers: Sequence[str], config_file: Path | None) -> set[str]:
-    """Zenoh ids of the servers that share their tasks and are seen from the first peer that answers."""
+    """Zenoh ids of the servers that share their tasks, by the first peer that answers."""
     for peer in peers:
         told = {"mode": "client", "connect/endpoints": [peer], "connect/timeout_ms": int(1000 * _REACH_S)}
         config = _config(None, config_file, {**told, "listen/endpoints": []})
@@ -95,7 +93,7 @@ def reachable_servers(peers: Sequence[str], config_file: Path | None) -> set[str
 
 
 def endpoints(listen: str | None, config_file: Path | None) -> list[str]:
-    """Where `open_session` listens when it is given the same; raises `Invalid` as it does."""
+    """The endpoint at which `open_session` would listen; raises `Invalid` as it does."""
     return _endpoints(_config(listen, config_file))
 
 

@@ -1,9 +1,9 @@
 """Renewal of a Zenoh session that a client has broken.
 
 A message that Zenoh cannot encode, such as a publication with an overlong key, makes it panic while it locks the send
-queues of the subscribers. Every later send to those clients panics, although their connections stand. A declaration
-whose key is not a key expression makes Zenoh panic while it locks its routing tables, and no client is answered any
-more. Zenoh does not recover by itself, so the whole session is opened anew; clients reconnect within a second.
+queues of the subscribers. Every later send to those clients panics, although they are still connected. A declaration
+whose key is not a key expression makes Zenoh panic while it locks its routing tables, and no client gets an answer any
+more. Zenoh does not recover, so the session is opened again; clients reconnect within a second.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from crkr.server.thread_faults import FAULTS, keep_running
 
 __all__ = ["SessionRenewal", "cut_connections", "is_broken"]
 
-_AGAIN_S: Final = 0.3  # a second panic after that time shows that the fault does not pass
+_AGAIN_S: Final = 0.3  # a second panic after this time shows that the fault persists
 _WITHIN_S: Final = 10.0
 _PAUSE_S: Final = 30.0  # between renewals for such panics
 _PROBE_S: Final = 2.0  # between probes of the session
@@ -36,7 +36,7 @@ _PORT: Final = re.compile(r":(\d+)(?:[?#]|$)")  # of an endpoint
 
 @final
 class SessionRenewal:
-    """A thread that calls `renew` when panics go on, or a probe finds the session broken."""
+    """A thread that calls `renew` when panics persist, or a probe finds the session broken."""
 
     def __init__(self, renew: Callable[[], None], is_broken: Callable[[], bool], give_up: Callable[[], None]) -> None:
         self._renew, self._is_broken, self._give_up = renew, is_broken, give_up
@@ -50,7 +50,7 @@ class SessionRenewal:
         self._thread.start()
 
     def note_panic(self) -> None:
-        """Note a panic; any thread may."""
+        """Record a panic; thread-safe."""
         now = time.monotonic()
         with self._lock:
             if now - self._last < _PAUSE_S:
@@ -62,7 +62,7 @@ class SessionRenewal:
                 self._wanted.set()
 
     def stop(self, patience_s: float) -> None:
-        """Renew no more."""
+        """Stop renewing."""
         self._stopped = True
         self._wanted.set()
         self._thread.join(patience_s)
@@ -105,10 +105,10 @@ def cut_connections(endpoints: Iterable[str]) -> None:
     ports = {int(found[1]) for endpoint in endpoints if (found := _PORT.search(endpoint))}
     with suppress(OSError):
         for entry in Path("/proc/self/fd").iterdir():
-            # Only sockets: to close a copy of a database's file would end SQLite's locks on it.
+            # Only sockets: closing a copy of a database's file would release SQLite's locks.
             with suppress(OSError, ValueError):
                 if os.readlink(entry).startswith("socket:"):
                     with socket.socket(fileno=os.dup(int(entry.name))) as connection:
                         if connection.family != socket.AF_UNIX and connection.getsockname()[1] in ports:
-                            connection.getpeername()  # raises for the one that listens
+                            connection.getpeername()  # raises for the listening socket
                             connection.shutdown(socket.SHUT_RDWR)

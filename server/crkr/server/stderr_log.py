@@ -1,7 +1,6 @@
-"""Log lines on standard error, written by a thread of their own.
+"""Log lines on standard error, written by a separate thread.
 
-A stopped terminal, or a supervisor that leaves a pipe unread, would otherwise block the next thread that logs, such as
-the one that commits all reports.
+A stopped terminal or an unread pipe would otherwise block any thread that logs, such as the one that commits reports.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from crkr.server.thread_faults import keep_running
 __all__ = ["StderrLog"]
 
 _FORMAT: Final = "%(asctime)s %(levelname)s %(name)s: %(message)s"
-_MOST: Final = 1000  # waiting lines; more are lost
+_MOST: Final = 1000  # waiting lines; further ones are dropped
 
 
 @final
@@ -34,7 +33,7 @@ class StderrLog:
         threading.Thread(target=keep_running, args=(self._step,), name="log", daemon=True).start()
 
     def add(self, item: str | threading.Event) -> None:
-        """Queue a line, or lose it if the queue is full. An event is set once all lines before it are written."""
+        """Queue a line, or drop it if the queue is full. An event is set once all lines before it are written."""
         try:
             self._waiting.put_nowait(item)
         except queue.Full:
@@ -61,7 +60,7 @@ class StderrLog:
         try:
             sys.stderr.write(f"{line}\n")
             sys.stderr.flush()
-        except (OSError, ValueError):  # closed, or without a reader
+        except (OSError, ValueError):  # closed, or nobody reads
             self._lost = 0
 
 
@@ -77,6 +76,6 @@ class _Handler(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
         try:
             line = self.format(record)
-        except Exception as error:  # the logging thread goes on, as with every handler
+        except Exception as error:  # logging must not raise, as with every handler
             line = f"(a line of the log could not be made: {record.name}, line {record.lineno}: {type(error).__name__})"
         self._log.add(line)

@@ -1,7 +1,7 @@
-"""Faults of the server's threads: what a thread raises is counted and logged, and the thread goes on.
+"""Faults of the server's threads: exceptions are counted and logged, and the thread continues.
 
-`except Exception` is not enough: a Rust panic in a binding is a `BaseException`, and a lane that ends by one leaves the
-requests behind it unanswered while the process looks well.
+`except Exception` is not enough: a Rust panic in a binding is a `BaseException`, and a lane that died of one would
+leave requests unanswered in a process that looks healthy.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ __all__ = ["FAULTS", "ThreadFaults", "keep_running", "run_once"]
 
 logger = logging.getLogger(__name__)
 
-_MOST_NAMES: Final = 64  # of threads, in the counts
+_MOST_NAMES: Final = 64  # thread names in the counts
 _OTHER: Final = "other"
 _UNNAMED: Final = re.compile(r"Thread-\d+(?: \((.*)\))?")
 _LONGEST_PAUSE_S: Final = 1.0  # between tries of a step that keeps failing
@@ -38,11 +38,11 @@ class ThreadFaults:
         self._on_panic: Callable[[], None] | None = None
 
     def call_on_panic(self, on_panic: Callable[[], None] | None) -> None:
-        """Call `on_panic` after each panic of a binding, on the thread that saw it. None: no longer."""
+        """Call `on_panic` after each panic of a binding, on the thread that saw it; None to stop."""
         self._on_panic = on_panic
 
     def note(self, error: BaseException, thread: str | None = None) -> None:
-        """Count a fault that this thread, or the named one, survived. Never raises.
+        """Record a fault that this thread, or the named one, survived. Never raises.
 
         Only faults number 1, 2, 4, 8, ... of a thread are logged, so that a client that causes one with each message
         does not fill the disk.
@@ -56,13 +56,13 @@ class ThreadFaults:
                 self._on_panic()
 
     def note_end(self, error: BaseException | None, thread: str) -> None:
-        """Count a thread that ended by an exception. Never raises."""
+        """Record a thread that ended by an exception. Never raises."""
         with suppress(BaseException):
             name = self._counted(self._ended, thread)
             logger.critical("thread %s ended; restart the server: %r", name, error, exc_info=error)
 
     def watch(self) -> None:
-        """Count every thread of the process that ends by an exception from now on."""
+        """Record every thread of the process that ends by an exception from now on."""
         before = threading.excepthook
 
         def hook(ended: threading.ExceptHookArgs) -> None:
@@ -82,7 +82,7 @@ class ThreadFaults:
             return sorted(self._ended)
 
     def summary(self) -> dict[str, Any]:
-        """The counts as in `info` and `status`; empty without faults."""
+        """The counts for `info` and `status`; empty without faults."""
         counts, ended = self.counts(), self.ended()
         return {"faults": counts, "ended": ended} if counts or ended else {}
 
@@ -95,12 +95,12 @@ class ThreadFaults:
         return name
 
 
-# One for the process, as its threads and `threading.excepthook` are.
+# One for the process, like its threads and `threading.excepthook`.
 FAULTS: Final = ThreadFaults()
 
 
 def keep_running(step: Callable[[], bool]) -> None:
-    """Call `step` until it returns False, whatever it raises; the body of a thread."""
+    """Call `step` until it returns False, whatever it raises; for the body of a thread."""
     failures, pause = 0, threading.Event()
     while True:
         try:
@@ -115,7 +115,7 @@ def keep_running(step: Callable[[], bool]) -> None:
 
 
 def run_once(work: Callable[[], None]) -> None:
-    """Call `work` once and count what it raises; the body of a thread with one task."""
+    """Call `work` once and record an error; for the body of a thread with one task."""
     try:
         work()
     except BaseException as error:

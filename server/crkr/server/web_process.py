@@ -1,7 +1,7 @@
-"""The live pages of `crkr server --web`: a process of its own serves them and asks the server as any client does.
+"""The live pages of `crkr server --web`, served by a separate process that is a client like any other.
 
-If it fails, the server goes on. The socket is the server's, so that a taken port is told at once, and that readers wait
-while the process is started again.
+If it fails, the server continues. The socket is the server's, so that a taken port is reported at once, and readers
+wait while the process restarts.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ __all__ = ["WebProcess"]
 
 logger = logging.getLogger(__name__)
 
-_QUEUED: Final = 512  # readers that wait for the process
-_PAUSE_S: Final = 2.0  # before it is started again
+_QUEUED: Final = 512  # waiting readers
+_PAUSE_S: Final = 2.0  # before a restart
 _ENDS_S: Final = 1.0
 
 
@@ -55,7 +55,7 @@ class WebProcess:
         self._thread: threading.Thread | None = None
 
     def start(self, endpoint: str, zenoh_config: Path | None) -> None:
-        """Start the process, and again whenever it ends; a second call does nothing.
+        """Start the process, and restart it whenever it ends; a second call does nothing.
 
         Args:
             endpoint: Where the server listens.
@@ -74,7 +74,7 @@ class WebProcess:
         with self._starting:
             if self._stop.is_set():
                 return False
-            # It ends when the pipe to it does, so none is left behind by a server that was killed.
+            # It ends with its pipe, so a killed server leaves no process behind.
             process = subprocess.Popen(command, stdin=subprocess.PIPE, pass_fds=[self._socket.fileno()])
             self._process = process
         with process:
@@ -115,10 +115,10 @@ def _listening(host: str, port: int) -> socket.socket:
 
 
 def _reachable(endpoint: str) -> str:
-    """The endpoint as a client on this machine connects to it.
+    """The endpoint for a client on this machine.
 
     Raises:
-        Invalid: Any port would do, so that the process cannot know which it is.
+        Invalid: The port is 0, so that the process cannot know the real one.
     """
     scheme, _, place = endpoint.partition("/")
     host, _, port = place.partition("?")[0].partition("#")[0].rpartition(":")

@@ -1,4 +1,4 @@
-"""The workers of each task: their liveliness, and the trials they asked for and have not reported yet."""
+"""The workers of each task: their liveliness, and their open trials, which are not reported yet."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ __all__ = ["STATES", "Workers"]
 logger = logging.getLogger(__name__)
 
 STATES: Final = ("alive", "left", "lost", "unannounced")
-# Bounds by kind of name; the name unseen for longest is dropped first. Made-up names in requests thus push out only
-# each other, and not the workers with a token.
+# Bounds by kind of name; the least recently seen name is dropped first. Made-up names in requests only push out each
+# other, not workers with a token.
 _MOST_ALIVE: Final = 16_384
 _MOST_ANNOUNCED: Final = 4096  # not alive
 _MOST_UNANNOUNCED: Final = 1024
 _MOST_OPEN: Final = 4096  # trials of a worker; the oldest is dropped first
 _LONGEST_ID: Final = 128  # characters; status lists ids
-_MOST_OPEN_IN_ALL: Final = 65_536  # then the worker with most loses some, names without a token first
+_MOST_OPEN_IN_ALL: Final = 65_536  # then the worker with most loses some, first those without a token
 _FEW: Final = 64  # open trials of an ordinary worker
 _LONGEST_KEY: Final = 512  # of a token
 _FIFO: Final = 65536
-# One subscription to both kinds of token, so that a worker's leaving comes before the end of its own.
+# One subscription to both kinds of token keeps their order: `left` before the end of the worker's own.
 _TOKENS: Final = live_worker_key("*", "*").replace("/worker/", "/*/")
 _WORKER, _LEFT = (key("*", "*").split("/")[-2] for key in (live_worker_key, left_worker_key))
 
@@ -46,7 +46,7 @@ class _Worker:
     def __init__(self) -> None:
         self.alive = self.announced = self.left = False
         self.open: OrderedDict[bytes, float] = OrderedDict()  # trial -> when it was asked for, the oldest first
-        self.most = 0  # open trials at a time since the table of them was made
+        self.most = 0  # most open trials since the table was made
         self.see()
 
     def shrink(self) -> None:
@@ -56,7 +56,7 @@ class _Worker:
             self.most = len(self.open)
 
     def see(self) -> None:
-        """Note a sign of life: the time of day for display, the monotonic time for comparison."""
+        """Record a sign of life: time of day for display, monotonic time for comparison."""
         self.last_seen, self.seen = time.time(), time.monotonic()
 
     @property
@@ -78,7 +78,7 @@ class Workers:
     """Workers of all tasks, known by their tokens or by the names in their requests."""
 
     def __init__(self) -> None:
-        # With a token, with one in the past, without any; the longest unseen first.
+        # With a token, with a former token, without; least recently seen first.
         self._alive: _Names = OrderedDict()
         self._gone: _Names = OrderedDict()
         self._unannounced: _Names = OrderedDict()
@@ -90,7 +90,7 @@ class Workers:
     def watch(self, session: zenoh.Session) -> None:
         """Follow the liveliness tokens of a session, existing ones included, until it closes.
 
-        Workers of a session followed before are lost until their tokens appear in this one.
+        Workers of the previous session are lost until their tokens appear in this one.
         """
         with self._lock:
             for name, entry in list(self._alive.items()):
@@ -109,7 +109,7 @@ class Workers:
             self._thread.join(patience_s)
 
     def asked(self, task: str, worker: str, trials: Iterable[bytes]) -> None:
-        """Note that a worker was given goals to try."""
+        """Record goals given to a worker."""
         with self._lock:
             entry = self._entry(task, worker)
             entry.see()
@@ -125,7 +125,7 @@ class Workers:
                 self._forget_oldest()
 
     def reported(self, task: str, worker: str, trials: Iterable[bytes]) -> None:
-        """Note that a worker reported trials, late or not."""
+        """Record reported trials of a worker, late ones too."""
         with self._lock:
             entry = self._entry(task, worker)
             entry.see()
@@ -152,7 +152,7 @@ class Workers:
         return sorted(found, key=itemgetter("id"))
 
     def totals(self) -> dict[str, tuple[Counter[str], int]]:
-        """Task -> its workers by state, and how many trials they have open."""
+        """Task -> its workers by state, and their number of open trials."""
         with self._lock:
             known = [(task, entry.state, len(entry.open)) for (task, _), entry in self._all()]
         found: dict[str, tuple[Counter[str], int]] = {}
@@ -166,7 +166,7 @@ class Workers:
         return chain(self._alive.items(), self._gone.items(), self._unannounced.items())
 
     def _entry(self, task: str, worker: str) -> _Worker:
-        """The worker of that name, moved to the end as the latest seen."""
+        """The worker of that name, moved to the end as the last seen."""
         name = task, worker
         for names in (self._alive, self._gone, self._unannounced):
             if name in names:
@@ -204,7 +204,7 @@ class Workers:
             sample = tokens.recv()
         except zenoh.ZError:  # the session is closed
             return False
-        if tokens is not self._tokens:  # the end of a session followed before, whose workers are in another now
+        if tokens is not self._tokens:  # the end of a previous session, whose workers are in another now
             return False
         key = str(sample.key_expr)
         if len(key) > _LONGEST_KEY:
@@ -226,7 +226,7 @@ class Workers:
                 entry.left = True
 
     def note_token(self, task: str, worker: str, stands: bool) -> None:
-        """A worker's token was declared, or it is gone."""
+        """A worker's token was declared or withdrawn."""
         with self._lock:
             entry = self._entry(task, worker)
             entry.see()

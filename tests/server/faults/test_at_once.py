@@ -78,7 +78,7 @@ class Crowd:
             else:
                 task.refit()
         except Conflict as error:  # a fit of settings that were changed meanwhile
-            if "configured anew" not in error.message:
+            if "configured again" not in error.message:
                 raise
         self.administered += 1
 

@@ -302,7 +302,7 @@ def test_a_session_that_a_token_on_no_key_broke_is_opened_anew(
         token = hostile.liveliness().declare_token(f"{ROOT}/task/reach/live/worker/w")
         processes.wait_until(lambda: not hostile_answer(hostile), server.log)
         hostile.close()  # type: ignore[no-untyped-call]  # zenoh's stub lacks the type
-        processes.wait_until(lambda: b"opened anew" in server.log.read_bytes(), server.log)
+        processes.wait_until(lambda: b"opened again" in server.log.read_bytes(), server.log)
         assert task.predict([0.5, 0.5]).active == 1
         assert task.report(state=[0.4, 0.5], goal=[0.0] * 3, cost=0.5, success=True, wait=True).accepted == 1
         with Client(server.endpoint, timeout_s=PATIENCE_S) as another:

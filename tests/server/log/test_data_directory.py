@@ -67,7 +67,7 @@ def test_a_lock_file_that_is_made_anew_keeps_servers_out_that_know_the_file_only
         log.append_reports(pending(4))
         log.append_reports(pending(5))
     assert [record.getMessage() for record in caplog.records] == [
-        f"{directory}/lock was removed while the server runs, and is made anew: leave it there"
+        f"{directory}/lock was removed while the server runs, and is made again: leave it there"
     ]
     with (directory / "lock").open("rb+") as file, pytest.raises(BlockingIOError):
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)

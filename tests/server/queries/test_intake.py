@@ -1,4 +1,4 @@
-"""The intake takes what came before its thread did, and what comes after its session was opened anew."""
+"""The intake takes what came before its thread did, and what comes after its session was opened again."""
 
 from collections.abc import Callable
 

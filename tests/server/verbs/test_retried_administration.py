@@ -214,7 +214,7 @@ def test_a_fit_of_settings_that_were_changed_meanwhile_is_not_stored(
     fitted = {"lengthscales": [0.3, 0.3], "signal_variance": 2.0, "evidence_before": 0.0, "evidence_after": 1.0}
     fit, before = Change("fit", fitted, lambda _task, _applied: {"accepted": True}), task.configured
     writer.commit(task, read_change("configure", {"changes": {"budget": 5}}, task), OwnJob())
-    with pytest.raises(Conflict, match="configured anew"):
+    with pytest.raises(Conflict, match="configured again"):
         writer.commit(task, fit, OwnJob(), before)
     assert task.seq == 2
     job = OwnJob()

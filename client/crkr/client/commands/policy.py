@@ -113,7 +113,7 @@ def explain(
     sample: Annotated[str | None, typer.Option("--sample", metavar="UUID", help="Id of a sample to explain.")] = None,
     as_json: Json = False,
 ) -> None:
-    """Show what an answer rests on and how likely it succeeds, and why a sample is or is not in the model.
+    """Show what an answer is based on and how likely it succeeds, and why a sample is or is not in the model.
 
     Example: crkr explain throw --state "0.3 1.2"
     """

@@ -71,7 +71,7 @@ def amend(
     reason: Reason = "",
     as_json: Json = False,
 ) -> None:
-    """Correct what stored trials came to; the log keeps what was reported.
+    """Correct stored trials; the log keeps what was reported.
 
     Example: crkr amend throw 2f1c6a1e-6c1f-4b52-9f0e-0d6a3c5b7e11 --miss --reason "it touched the net"
     """

@@ -186,11 +186,11 @@ class Mirror(Closing):
         return model is not before
 
     def wait_for(self, version: int, timeout_s: float) -> None:
-        """Waits until the copy has applied this log position, e.g. the last of a receipt's `seqs`.
+        """Waits until the copy has applied a log position, e.g. the last of a receipt's `seqs`.
 
         Raises:
             Invalid: A time that is not positive and finite.
-            Unavailable: Not by the deadline, or the mirror was closed.
+            Unavailable: It has not by the deadline, or the mirror was closed.
         """
         check_not_forked()
         with self._changed:
@@ -223,7 +223,7 @@ class Mirror(Closing):
         )
 
     def _end_with_interpreter(self) -> None:
-        """Blocks a daemon thread for good once the interpreter ends, so that it does not enter scipy again."""
+        """Blocks a daemon thread forever once the interpreter ends, so that it does not enter scipy again."""
         if self._exiting.is_set() and threading.current_thread() is not threading.main_thread():
             self._inside.pop(threading.get_ident(), None)
             threading.Event().wait()

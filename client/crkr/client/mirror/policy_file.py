@@ -1,4 +1,4 @@
-"""A policy as a file that NumPy alone evaluates, whose reader stands in `docs/policies.md`, or as an ONNX model."""
+"""A policy as a file that NumPy alone evaluates (reader in `docs/policies.md`), or as an ONNX model."""
 
 from __future__ import annotations
 

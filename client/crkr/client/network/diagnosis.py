@@ -55,7 +55,7 @@ NO_SERVER: Final = (
 @final
 @dataclass(frozen=True, slots=True)
 class Obstacle:
-    """What stands in the way of a connection.
+    """An obstacle to a connection.
 
     Attributes:
         what: In words, with advice.

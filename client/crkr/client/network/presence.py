@@ -56,7 +56,7 @@ class Presence(Closing):
             deadline: When to give up [s, monotonic clock].
 
         Raises:
-            Invalid: The worker's id cannot stand in a key.
+            Invalid: A key cannot contain the worker's id.
             Conflict: Another process holds that id; a killed one's is free again within two seconds.
             Unavailable: No connection by the deadline.
         """
@@ -98,7 +98,7 @@ def take_token(
 ) -> zenoh.LivelinessToken | None:
     """Declares a token that only one process may hold; None where another process holds it or claims it too.
 
-    A holder claims the token first and withdraws the claim after the token stands, so one of the two always shows.
+    A holder claims the token first and withdraws the claim after declaring the token, so one of the two always shows.
 
     Args:
         session: Whose token it will be.
@@ -107,7 +107,7 @@ def take_token(
         taken: Key expression of the tokens that exclude this one; `key` unless given.
 
     Raises:
-        NotConnected: The router did not say which tokens stand.
+        NotConnected: The router did not list the tokens.
     """
     claim, taken = claim_key(str(uuid4())), taken or key
     if standing_tokens(session, taken):
@@ -122,7 +122,7 @@ def take_token(
 
 
 def standing_tokens(session: zenoh.Session, key: str) -> set[str]:
-    """Keys of the tokens that stand; raises `NotConnected` where the router does not say."""
+    """Keys of the declared tokens; raises `NotConnected` if the router does not list them."""
     replies = list(session.liveliness().get(key, zenoh.handlers.FifoChannel(16), timeout=0.5))
     if any(reply.ok is None for reply in replies) or not session.info.routers_zid():
         raise NotConnected("the router did not say who is there")

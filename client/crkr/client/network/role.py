@@ -43,7 +43,7 @@ class Role(Closing):
         """Takes a free role; None where another process has it.
 
         Raises:
-            Invalid: The role's name cannot stand in a key.
+            Invalid: A key cannot contain the role's name.
             Unavailable: No connection by the deadline.
         """
         key_of = partial(live_role_key, task, check_name(role, "role"))

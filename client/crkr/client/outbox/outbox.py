@@ -108,11 +108,11 @@ class Outbox(Closing):
         self._file.discard([one.number for one in refused])
 
     def report(self, answer: Prediction | None = None, **trial: Unpack[TrialFields]) -> tuple[UUID, ...]:
-        """Keeps what one trial or a batch cost.
+        """Keeps the report of one trial or a batch.
 
         Args:
             answer: The prediction that was tried; or give `state` and `goal`.
-            trial: What was done and how it went, see `crkr.protocol.TrialFields`.
+            trial: What was tried and its result, see `crkr.protocol.TrialFields`.
 
         Returns:
             The ids, once the trials are in the file and on the disk. The server has them when `pending` says so.
@@ -144,7 +144,7 @@ class Outbox(Closing):
 
         Raises:
             Invalid: A time that is not positive and finite.
-            Unavailable: Some trials are not by the deadline, or the outbox was closed; the file keeps them.
+            Unavailable: Trials are left at the deadline, or the outbox was closed; the file keeps them.
         """
         check_not_forked()
         with self._changed:
@@ -268,7 +268,7 @@ class Outbox(Closing):
 
 
 def _differences(mine: TaskSpec, theirs: TaskSpec) -> dict[str, list[Any]]:
-    """What makes a trial mean something else: name -> [mine, theirs]."""
+    """Differences that change the meaning of a trial: name -> [mine, theirs]."""
     both = [
         {
             "state": [(axis.name, axis.unit) for axis in spec.state],

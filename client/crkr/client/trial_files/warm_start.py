@@ -26,12 +26,12 @@ _SOURCE: Final = re.compile(
 @final
 @dataclass(frozen=True, slots=True)
 class WarmStartReport:
-    """What became of the other task's trials.
+    """Counts of the other task's trials.
 
     Attributes:
         accepted: New to the task.
-        duplicates: There already, from an earlier warm start.
-        skipped: Removed, judged, or outside the bounds of the task's goals.
+        duplicates: Stored already, by an earlier warm start.
+        skipped: Removed, evaluations, or outside the bounds of the task's goals.
     """
 
     accepted: int
@@ -59,8 +59,8 @@ def warm_start(
 ) -> WarmStartReport:
     """Reports the trials of another task to this one, under ids of their own: repeating it stores nothing twice.
 
-    Coordinates of the same name are taken over. Costs and successes are; removed and judged trials are not, nor goals
-    outside the bounds.
+    Coordinates of the same name, costs and successes are copied; removed trials, evaluations and goals outside the
+    bounds are not.
 
     Args:
         task: The task to start; it exists.
@@ -120,7 +120,7 @@ def _mapped(terms: Sequence[_Term], stored: StoredTrial) -> Array:
 
 
 def _terms(spec: TaskSpec, old: TaskSpec, columns: dict[str, str | float]) -> dict[str, list[_Term]]:
-    """For each coordinate of the task where it comes from."""
+    """The source of each coordinate of the task."""
     there = [
         *(f"state.{axis.name}" for axis in old.state),
         *(f"goal.{axis.name}" for axis in old.goal),

@@ -1,8 +1,8 @@
-"""Checks every row of a long log after a restart, which reads only what learning needs.
+"""Checks every row of a long log after a restart, which itself reads only what learning needs.
 
-A trial's seal covers who reported it, when, and what it said besides. To check a million of them takes as long as the
-whole restart, so it is done afterwards, by a process of its own at a low priority:
-`python -m crkr.server.inspection.seal_check`, which reads `["LOG", {"TASK": POSITION}]` from standard input.
+A trial's seal covers all of its row, such as worker and time. Checking a million seals takes as long as the whole
+restart, so a separate process of low priority does it afterwards: `python -m crkr.server.inspection.seal_check`, which
+reads `["LOG", {"TASK": POSITION}]` from standard input.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ __all__ = ["SealCheck"]
 logger = logging.getLogger(__name__)
 
 _DELAY_S: Final = 2.0  # requests that waited for the restart come first
-_PRIORITY: Final = 10  # below the server's, and not so low that a busy machine never comes to it
+_PRIORITY: Final = 10  # lower than the server's, but not starved on a busy machine
 
 
 @final
@@ -36,8 +36,8 @@ class SealCheck:
 
     Args:
         where: The log, as `read_log` takes it.
-        tasks: Name -> log position up to which it is looked over.
-        damaged: Told of a task and what is wrong with its first damaged row.
+        tasks: Name -> last log position to check.
+        damaged: Called with a task and the damage of its first damaged row.
     """
 
     def __init__(self, where: str, tasks: Mapping[str, int], damaged: Callable[[str, str], None]) -> None:
@@ -67,16 +67,16 @@ class SealCheck:
         if self._code.is_replaced:
             logger.warning("the rows of the task log are not looked over: crkr was upgraded or removed; restart it")
             return
-        # -P: a file in the working directory that is called as a module of Python's is not one.
+        # -P: a file in the working directory must not hide a module of Python's.
         command = [sys.executable, "-P", "-m", "crkr.server.inspection.seal_check"]
         try:
             with self._starting:
                 if self._stopped.is_set():
                     return
-                # In a group of its own: Ctrl-C is for the server, which ends this process.
+                # In its own group: Ctrl-C is for the server, which ends this process.
                 self._process = subprocess.Popen(
                     command,
-                    stdin=subprocess.PIPE,  # a command line, with a password in it, is everyone's to read
+                    stdin=subprocess.PIPE,  # everyone can read a command line, which would hold the password
                     stdout=subprocess.PIPE,
                     text=True,
                     process_group=0,
@@ -106,7 +106,7 @@ class SealCheck:
 
 
 def main(where: str, tasks: Mapping[str, int]) -> None:
-    """The process: reports the damage of each task, "" if there is none."""
+    """The process: reports the damage of each task, "" without damage."""
     with suppress(BrokenPipeError):  # the server is gone
         for task, upto in tasks.items():
             with suppress(UnknownTask):  # renamed or deleted meanwhile
@@ -119,7 +119,7 @@ def _damage(where: str, task: str, upto: int) -> str:
         with closing(read_log(where)) as reader:
             reader.check(task, upto)
     except StorageError as error:
-        if isinstance(error.__cause__, ShuttingDown):  # the database is away, which says nothing of the rows
+        if isinstance(error.__cause__, ShuttingDown):  # the database is away, which says nothing about the rows
             sys.exit(f"task {task}: {error.message}")
         return error.message
     return ""

@@ -20,15 +20,15 @@ _MOST_BYTES: Final = 2**24
 
 @final
 class StoredRun:
-    """One task of a log as it is at this moment; to be used from one thread.
+    """One task of a log at this moment; not thread-safe.
 
     Attributes:
         spec: The specification in force.
-        last: Log position of the last entry; what a server adds later is left out.
+        last: Log position of the last entry; later entries are ignored.
 
     Raises:
         StorageError: There is no log, or it is damaged.
-        UnknownTask: No such task; the message names those that there are.
+        UnknownTask: No such task; the message names the existing ones.
     """
 
     def __init__(self, data: str | Path, task: str) -> None:
@@ -51,13 +51,13 @@ class StoredRun:
             raise
 
     def pages(self, size: int) -> Iterator[tuple[list[StoredTrial], dict[str, Any]]]:
-        """All trials in the order of seq, at most `size` at a time, each page with what the learner then had.
+        """All trials in the order of seq, in pages of at most `size`, each with the learner's counts.
 
-        That is `seq`, `eligible` and `active` as a server's status says them, counted with the costs, marks and
-        settings of today.
+        The counts are `seq`, `eligible` and `active`, as in a server's status, with today's costs, removals and
+        settings.
 
         Raises:
-            StorageError: A trial is not what was stored.
+            StorageError: A trial is damaged.
         """
         eligible, after = 0, 0
         following: int | None = 0
@@ -77,7 +77,7 @@ class StoredRun:
         self._reader.close()
 
     def _in_force(self) -> TaskSpec:
-        """Read the whole log once, which finds missing entries, for the settings that changed."""
+        """Read the whole log once for changed settings, which also finds missing entries."""
         first = next(self._reader.read(self._task), None)
         if not isinstance(first, Event) or first.kind != "create":
             raise StorageError(f"the log of task {self._task!r} does not begin with its creation; restore a backup")

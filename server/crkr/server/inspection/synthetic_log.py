@@ -1,4 +1,4 @@
-"""A log of made-up trials, to measure a server on a long one.
+"""Writes a log of synthetic trials, to measure a server on a long log.
 
 `crkr bench predict` runs it as `python -m crkr.server.inspection.synthetic_log DIR COUNT`.
 """

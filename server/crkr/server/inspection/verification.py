@@ -1,4 +1,4 @@
-"""Verifies a data directory: the log is whole, and everything derived from it agrees."""
+"""Verifies a log: it is complete, and everything derived from it agrees."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ class Verdict:
         samples: Trials among them.
         active: Samples in the model.
         model_version: Log position of the model.
-        largest_difference: Between predictions of the model as a restart makes it and as the server made it [scaled].
-        problems: What does not agree; none: all is well.
+        largest_difference: Largest difference of predictions by the restarted and by the served model [scaled].
+        problems: Disagreements; empty if there are none.
     """
 
     task: str
@@ -48,12 +48,12 @@ class Verdict:
 
 
 def verify(log: LogReader, name: str, progress: Callable[[int], None] = lambda _: None) -> Verdict:
-    """Replay a task twice, at once as a restart does and step by step as the server did, and compare.
+    """Replay a task twice, in one batch as a restart does and step by step as the server did, and compare.
 
     Args:
         log: Where from.
         name: The task.
-        progress: Told of every log position reached.
+        progress: Called with every log position reached.
 
     Raises:
         StorageError: The log cannot be read to its end.
@@ -62,7 +62,7 @@ def verify(log: LogReader, name: str, progress: Callable[[int], None] = lambda _
         restored = restore(log, name)
     except (StorageError, UnknownTask):
         raise
-    except Exception as error:  # which the server starts in spite of; the other tasks are looked at too
+    except Exception as error:  # the server starts in spite of it; check the other tasks too
         problem = error.message if isinstance(error, CrkrError) else f"{type(error).__name__}: {error}"
         return Verdict(name, log.last(name), 0, 0, 0, 0.0, (f"the task cannot be restored: {problem}",))
     learner, trials = _relearn(log, name, progress)
@@ -81,7 +81,7 @@ def verify(log: LogReader, name: str, progress: Callable[[int], None] = lambda _
 @final
 @dataclass(slots=True)
 class _Kept:
-    """A trial as the log's events leave it, derived without the learner."""
+    """A trial after all events, derived without the learner."""
 
     trial: Trial
     cost: float | None
@@ -140,7 +140,7 @@ def _eligible(kept: _Kept, learn_from: str) -> bool:
 
 
 def _compare_rows(log: LogReader, name: str, trials: dict[bytes, _Kept]) -> list[str]:
-    """Compare the answers of `samples` with the events."""
+    """Compares the answers of `samples` with the events."""
     corrections = Corrections()
     for event in log.events(name):
         corrections.note(event)
@@ -171,12 +171,12 @@ def _difference(one: Learner, other: Learner, spec: TaskSpec) -> float:
     rng = np.random.default_rng(0)
     low, high = (np.array([getattr(axis, end) for axis in spec.state]) for end in ("low", "high"))
     share = rng.uniform(size=(_STATES, len(spec.state)))
-    states = (1.0 - share) * low + share * high  # a difference of the two might be no number
+    states = (1.0 - share) * low + share * high  # the difference might overflow
     try:
         answers: list[Any] = [learner.model.predict(states) for learner in (one, other)]
     except NoSamples:
         return 0.0
-    except CrkrError:  # a task that refuses novel states: compare where it answers
+    except CrkrError:  # a task that refuses novel states is compared where it answers
         states = np.array(one.model.states)
         answers = [learner.model.predict(states) for learner in (one, other)]
     first, second = answers

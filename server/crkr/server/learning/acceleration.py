@@ -1,7 +1,7 @@
-"""The compiled selection is loaded once a task is long enough for it; until then passes over all samples do.
+"""Loads the compiled selection once a task is long; short tasks do without.
 
-Compiling takes some ten seconds, once a machine and version. A process of its own does that, as the compiler holds the
-interpreter's lock; what a thread of the server then loads from the cache takes a second.
+Compiling takes some ten seconds, once per machine and version. A separate process does it, because the compiler holds
+the interpreter's lock; loading from the cache then takes a thread of the server a second.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ __all__ = ["LONG", "MUCH_TO_SEARCH", "Acceleration", "accelerate_search"]
 
 logger = logging.getLogger(__name__)
 
-LONG: Final = 10_000  # samples of a task, from which on it pays
-MUCH_TO_SEARCH: Final = 200_000  # entries without kept radii, whose search takes longer than compiling
+LONG: Final = 10_000  # samples of a task from which on it is faster
+MUCH_TO_SEARCH: Final = 200_000  # entries without kept radii, whose computation takes longer than compiling
 
 
 @final
@@ -58,7 +58,7 @@ class Acceleration:
     def _load(self) -> None:
         try:
             started = time.monotonic()
-            context = multiprocessing.get_context("spawn")  # a fork would inherit Zenoh's threads half
+            context = multiprocessing.get_context("spawn")  # a fork would break Zenoh's threads
             self._process = context.Process(target=_compile, name="compile", daemon=True)
             self._process.start()
             self._process.join()
@@ -69,12 +69,12 @@ class Acceleration:
                 return
             accelerate()
             logger.info("the compiled selection is loaded after %.1f s", time.monotonic() - started)
-        except Exception:  # learning goes on as before
+        except Exception:  # learning continues without it
             logger.exception("the compiled selection was not loaded")
 
 
 def accelerate_search(task: str) -> None:
-    """Load the compiled selection now, before a long search for radii; without it the search only takes longer."""
+    """Load the compiled selection now, before radii of a long log are computed; failing only costs time."""
     try:
         if not accelerate():
             logger.warning("restoring task %s would be quicker with numba, pip install 'crkr[fast]'", task)

@@ -1,4 +1,4 @@
-"""Fits of the kernel, in a process of their own, so that predictions do not wait for the seconds they take."""
+"""Fits the kernel in a separate process, so that predictions do not wait for the seconds it takes."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class DueFit:
 
 @final
 class Fitting:
-    """The work of the refit lane, and its process, which starts at the first fit."""
+    """The work of the refit lane; its process starts at the first fit."""
 
     def __init__(self, tasks: Tasks, learning: Learning, writer: Writer) -> None:
         self._tasks, self._learning, self._writer = tasks, learning, writer
@@ -89,20 +89,20 @@ class Fitting:
             if not result.accepted:
                 job.reply({**found, "seq": task.seq, "model_version": task.model.version})
                 continue
-            check_fit(task.created, result.lengthscales, result.signal_variance)  # before it is in the log for good
+            check_fit(task.created, result.lengthscales, result.signal_variance)  # before it is logged
             body = {"lengthscales": result.lengthscales.tolist(), "signal_variance": result.signal_variance}
             evidence = {"evidence_before": result.before, "evidence_after": result.after}
             self._writer.commit(task, Change("fit", {**body, **evidence}, _answer(found)), job, configured)
 
     def stop(self) -> None:
-        """Give up the present fit and end the process."""
+        """Abort the current fit and end the process."""
         self._stopped.set()
         if self._process is not None:
             self._process.terminate()
             self._process.join(0.5)
 
     def _problem(self, task: ServedTask) -> FitProblem:
-        """The problem to fit; only the learning thread may ask the learner."""
+        """The fit problem; only the learning thread may ask the learner."""
         future: Future[FitProblem] = Future()
 
         def begin(_result: Any, failure: Exception | None) -> None:
@@ -143,7 +143,7 @@ class Fitting:
                     "crkr was upgraded or removed while this server runs, and a fit takes a new process: restart the "
                     "server, and ask again"
                 )
-            context = multiprocessing.get_context("spawn")  # a fork would inherit Zenoh's threads half
+            context = multiprocessing.get_context("spawn")  # a fork would break Zenoh's threads
             self._pipe, theirs = context.Pipe()
             self._process = context.Process(target=_serve, args=(theirs,), name="fit", daemon=True)
             self._process.start()

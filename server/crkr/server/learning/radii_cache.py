@@ -1,4 +1,4 @@
-"""The selector's radii, stored beside the log to make a restart quick. Nothing depends on them."""
+"""Stores the selector's radii beside the log, for a quick restart. Nothing depends on them."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from crkr.server.log import LogReader, TaskLog
 
 __all__ = ["MANY", "RadiiKeeper", "load_radii", "save_radii"]
 
-MANY: Final = 10_000  # entries, from which on keeping the radii pays
-_EVERY: Final = 2000  # entries between; a restart learns the ones since then as they come
-_PAUSE_S: Final = 5.0  # at least, between writing them: 24 bytes a sample
+MANY: Final = 10_000  # entries from which on keeping the radii saves time
+_EVERY: Final = 2000  # entries between two saves; a restart learns later ones one by one
+_PAUSE_S: Final = 5.0  # least time between two saves of 24 bytes per sample
 
 logger = logging.getLogger(__name__)
 
@@ -41,7 +41,7 @@ class RadiiKeeper:
             self._save(task)
 
     def finish(self, task: ServedTask) -> None:
-        """Called when learning is over."""
+        """Called when learning has ended."""
         kept = self._log.reads.load_cache(task.name)
         if task.model.version > MANY and not task.fault and (kept is None or kept[0] < task.model.version):
             self._save(task)
@@ -67,7 +67,7 @@ def save_radii(log: TaskLog, task: str, radii: RadiiCache) -> None:
 
 
 def load_radii(log: LogReader, task: str) -> RadiiCache | None:
-    """The radii kept last, or None."""
+    """The last kept radii, or None."""
     kept = log.load_cache(task)
     if kept is None or len(kept[1]) % 24:
         return None

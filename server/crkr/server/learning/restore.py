@@ -33,7 +33,7 @@ __all__ = ["FEW", "batches", "begun", "catch_up", "open_directory", "relearned",
 logger = logging.getLogger(__name__)
 
 _BATCH: Final = 4096
-_LONGEST: Final = 1000  # characters of what is wrong with a task
+_LONGEST: Final = 1000  # characters of a task's fault
 FEW: Final = 5000  # entries read as whole rows, each checked; longer logs are read by columns
 
 
@@ -74,10 +74,10 @@ def restore_all(log: LogReader) -> list[ServedTask]:
 
 
 def restored(log: LogReader, name: str) -> ServedTask:
-    """The task, replayed, or a faulty one that says why it cannot be; raises `StorageError` as `restore`."""
+    """The replayed task, or a faulty one that names the reason; raises `StorageError` as `restore`."""
     try:
         return restore(log, name)
-    except (StorageError, UnknownTask):  # the store's fault, which is everyone's
+    except (StorageError, UnknownTask):  # a fault of the store affects all tasks
         raise
     except Exception as error:
         fault = error.message if isinstance(error, CrkrError) else f"{type(error).__name__}: {error}"
@@ -96,7 +96,7 @@ def _faulty(log: LogReader, name: str, fault: str) -> ServedTask:
     except Exception:
         task = ServedTask(_unknown(name))
     task.fault, task.restored, task.seq = fault[:_LONGEST], False, log.last(name)
-    for event in log.events(name):  # its trials are handed out as corrected all the same
+    for event in log.events(name):  # its trials are still served with corrections
         task.corrections.note(event)
     return task
 
@@ -108,7 +108,7 @@ def _unknown(name: str) -> TaskSpec:
 
 
 def begun(creation: LoggedTrial | Event) -> ServedTask:
-    """The task as its first entry makes it."""
+    """The task made by its first entry."""
     if not isinstance(creation, Event):
         raise StorageError(f"a log begins with a trial at position {creation.seq}; restore a backup")
     task = ServedTask(TaskSpec.from_dict(creation.body["spec"]))
@@ -149,12 +149,12 @@ def restore(log: LogReader, name: str) -> ServedTask:
 
 
 def _upto(entries: Iterator[LoggedTrial | Event], last: int) -> Iterator[LoggedTrial | Event]:
-    """The entries up to a log position; another server may add more meanwhile."""
+    """The entries up to a log position; another server may be adding more."""
     return takewhile(lambda entry: entry.seq <= last, entries)
 
 
 def relearned(log: LogReader, task: ServedTask, upto: int) -> Learner:
-    """The learner that a task had at a log position, made anew from its log."""
+    """Relearns a task from its log up to a log position."""
     before = ServedTask(task.created)
     visible = Visible.of(log.events(task.name), upto)
     with before.learner.bulk():
@@ -191,7 +191,7 @@ def _replay_columns(task: ServedTask, columns: TrialColumns, visible: Visible) -
 
 
 def _columns(entries: list[LoggedTrial], measured: int) -> TrialColumns:
-    """The same trials; a store takes columns in a fraction of the time."""
+    """The trials as columns, which a store takes in a fraction of the time."""
     trials = [entry.trial for entry in entries]
     absent = np.full(measured, np.nan)
     return TrialColumns(
@@ -208,9 +208,9 @@ def _columns(entries: list[LoggedTrial], measured: int) -> TrialColumns:
 
 
 def catch_up(log: LogReader, tasks: dict[str, ServedTask]) -> None:
-    """Bring restored tasks to the end of a log that another server writes; new ones are added.
+    """Bring restored tasks to the end of a log that another server writes; adds new tasks.
 
-    A task that cannot go on is marked as faulty, as by `restore_all`.
+    A task that cannot be brought there is marked as faulty, as by `restore_all`.
 
     Raises:
         StorageError: The log cannot be read, or is damaged.
@@ -263,7 +263,7 @@ def _replay(task: ServedTask, entries: Iterator[LoggedTrial | Event], visible: V
 
 
 def batches(entries: Iterable[LoggedTrial | Event], most: int) -> Iterable[list[LoggedTrial] | Event]:
-    """The same entries in order, with up to `most` neighbouring trials in one batch."""
+    """The entries in order, with up to `most` successive trials in one batch."""
     trials: list[LoggedTrial] = []
     for entry in entries:
         if isinstance(entry, Event) or len(trials) == most:

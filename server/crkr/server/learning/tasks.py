@@ -16,7 +16,7 @@ from crkr.server.log import Corrections, Event, LoggedTrial
 
 __all__ = ["ServedTask", "Tasks", "apply_entries", "hyperparameters"]
 
-_MOST_NAMED: Final = 20  # tasks that an error tells of
+_MOST_NAMED: Final = 20  # tasks that an error names
 _RETRY_MS: Final = 100
 
 
@@ -24,29 +24,29 @@ _RETRY_MS: Final = 100
 class ServedTask:
     """A task in service.
 
-    The writer changes `seq`, `agreed`, `configured`, `archived` and the counts as it commits. The learning thread
+    The writer changes `seq`, `agreed`, `configured`, `archived` and the counts at a commit. The learning thread
     changes `learner`, `model`, `spec`, `eligible` and `fault`. `model` is replaced as a whole: readers need no lock.
 
     Attributes:
         created: The specification as created.
         dimensions: d.
-        learner: For the learning thread, and the replay before it starts.
+        learner: Used by the learning thread, and by the replay before it starts.
         model: The policy that answers predictions.
         spec: The specification in force.
-        agreed: The specification by the log, ahead of `spec` while learning lags behind.
+        agreed: The specification in the log; newer than `spec` while learning lags behind.
         seq: Last committed log position.
         configured: Log position of the last change of its settings.
-        archived: Only reads are answered.
-        deleted: Nothing is answered; the log keeps it under another name until it is purged.
+        archived: Whether only reads are answered.
+        deleted: Whether nothing is answered; the log keeps the task under another name until it is purged.
         samples: Stored trials by kind as reported, removed ones included.
-        corrections: What later events say of the stored trials.
+        corrections: The corrections of stored trials.
         eligible: Number of trials that may be learned from.
         fault: Why learning stopped; "" while it runs.
-        restarting: A restart of its outcome model is in the log and not learned yet.
-        drift: How far outcomes are from what was expected; None where none are modelled.
-        history: The trials that the model has learned from or not.
-        restored: The log was replayed to its end. If not, `fault` says why, and only stored data can be read.
-        damage: A damaged row that no prediction depends on; "" if none was found.
+        restarting: Whether a logged restart of its outcome model is not learned yet.
+        drift: How far outcomes are from their predictions; None where outcomes are not modelled.
+        history: All trials that the learner has seen.
+        restored: Whether the log was replayed to its end. If not, `fault` says why, and only stored data can be read.
+        damage: A damaged row that no prediction depends on; "" without one.
         log_id: Identifies the log that begins with this task's creation, on any server.
     """
 
@@ -137,7 +137,7 @@ class ServedTask:
             self.samples[kind] += count
 
     def advice(self) -> list[Advice]:
-        """What limits its learning, and what to do about it; worked out anew at each call, in some 0.1 ms."""
+        """What limits learning, and what to do about it; computed at each call in some 0.1 ms."""
         return advise(self.spec, self.history, self.drift, self.eligible, self.model.active)
 
     def publish(self) -> None:
@@ -158,13 +158,13 @@ def hyperparameters(model: Model) -> dict[str, Any]:
 
 @final
 class Tasks:
-    """All tasks of the log by name: those in service here, and the names of those that other servers serve.
+    """All tasks of the log by name: those served here, and the names of those served elsewhere.
 
-    The writer changes the tasks, and `note_names` the names. Lists of entries are copied in one step of the
-    interpreter, so that an addition cannot interfere.
+    The writer changes the tasks, and `note_names` the names. Lists of entries are copied atomically, so that an
+    addition cannot interfere.
 
     Attributes:
-        creates: New tasks are this server's to make.
+        creates: Whether this server creates new tasks.
     """
 
     def __init__(self, moves: Iterable[Event] = ()) -> None:
@@ -180,7 +180,7 @@ class Tasks:
         self._by_name[task.name] = task
 
     def move(self, before: str, event: Event) -> None:
-        """Let a task be found by another name, in its place, or take it out of service."""
+        """Rename a task in its place, or take it out of service."""
         named = {before: event.body["name"] if event.kind == "rename" else None}
         found = [(named.get(key, key), task) for key, task in self._by_name.items()]
         self._by_name = {key: task for key, task in found if key is not None}
@@ -196,11 +196,11 @@ class Tasks:
                 self._moves[event.kind, event.body["was"], event.body["request"]] = event
 
     def moved(self, verb: str, name: str, request: object) -> Event | None:
-        """What was done for this request already, by its asker's id; None for one that is new or has no id."""
+        """The earlier result of this request, by its id; None for one that is new or has no id."""
         return self._moves.get((verb, name, request)) if isinstance(request, bytes) else None
 
     def leave(self, name: str) -> None:
-        """Take a task out of service, which another server is to serve."""
+        """Take a task out of service that another server will serve."""
         listed = self._listed or dict.fromkeys(self._by_name)
         self._by_name = {key: task for key, task in self._by_name.items() if key != name}
         self._listed = {**listed, name: None}
@@ -242,7 +242,7 @@ class Tasks:
         """The task, restored or not, to read stored data.
 
         Raises:
-            UnknownTask: There is none.
+            UnknownTask: No task has that name.
             ShuttingDown: Another server serves it, or will soon.
         """
         task = self._by_name.get(name)
@@ -258,7 +258,7 @@ class Tasks:
         return task
 
     def look_back(self, name: str) -> None:
-        """Raises `UnknownTask` for a name that no task has or had: of a former one a request may be repeated."""
+        """Raises `UnknownTask` for a name that no task has or had; requests to a former name may be repeats."""
         if name not in self._former:
             self.look(name)
 
@@ -269,7 +269,7 @@ class Tasks:
         return len(self.names()) if self._listed else len(self._by_name)
 
     def page(self, after: int, limit: int) -> tuple[list[str], int | None]:
-        """At most `limit` names past the first `after`, oldest first, and where to go on (None at the end)."""
+        """At most `limit` names past the first `after`, oldest first, and the next `after` (None at the end)."""
         names, end = self.names(), after + limit
         return names[after:end], end if end < len(names) else None
 
@@ -278,7 +278,7 @@ class Tasks:
         return {task.name: task.fault for task in self.all() if task.fault}
 
     def all(self) -> list[ServedTask]:
-        """Every task in service here, oldest first, faulty ones included."""
+        """Every task served here, oldest first, faulty ones included."""
         return list(self._by_name.values())
 
 
@@ -302,10 +302,10 @@ def apply_entries(learner: Learner, entries: Sequence[LoggedTrial] | Event) -> A
             return learner.apply_restart(seq)
         case "rename":
             return learner.apply_rename(seq, body["name"])
-        case "rollback":  # what it hides is not applied; a name given meanwhile stays
+        case "rollback":  # hidden entries are not applied; a newer name stays
             return learner.apply_rename(seq, body["spec"]["name"])
         case "archive" | "delete":
             return learner.apply_configure(seq, {})  # advances the position only
-        case "create":  # the learner was made from it
+        case "create":  # the learner was rebuilt from it
             return None
     raise Internal(f"log position {seq} holds an event of kind {entries.kind!r}, which this version does not know")

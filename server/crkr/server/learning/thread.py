@@ -1,8 +1,8 @@
 """The learning threads apply committed entries in log order and publish the new models.
 
-Tasks take turns, one step each, so that a task with much to learn does not delay the others. A single step may be long:
-with thousands of active samples, or a change to a long log. Tasks with long steps are left to a second thread. A task
-is in the hands of at most one thread at a time.
+Tasks take turns of one step, so that a task with much to learn does not delay the others. A step may be long with
+thousands of active samples, or for a change to a long log. A second thread has the tasks with long steps. At most one
+thread works on a task at a time.
 """
 
 from __future__ import annotations
@@ -30,15 +30,15 @@ logger = logging.getLogger(__name__)
 
 Notice = Callable[[ServedTask, Model, Model], None]
 
-_MOST_TRIALS: Final = 64  # a group: one new model for all of them, and the next event is not far
-_LONG_S: Final = 0.05  # a step, from which on a task's next ones are the second thread's
-_LONG_LOG: Final = 5000  # entries, from which on an event may take as long
+_MOST_TRIALS: Final = 64  # trials of a group, which makes one new model
+_LONG_S: Final = 0.05  # a step this long moves its task to the second thread
+_LONG_LOG: Final = 5000  # entries from which on an event may take as long
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class _Step:
-    """Entries of one task, and what to call once its model includes them."""
+    """Entries of one task, and the callback for when its model includes them."""
 
     task: ServedTask
     entries: Sequence[LoggedTrial] | Event
@@ -61,13 +61,13 @@ class _Line:
     @property
     def slow(self) -> bool:
         """Whether the next step will probably be long."""
-        prepared = self.task.model.explorer.prepare()  # if not, it is first worked out what a restart left
+        prepared = self.task.model.explorer.prepare()  # if not, the step first computes what a restart left out
         return self.long or not prepared or (isinstance(self.steps[0].entries, Event) and self.task.seq > _LONG_LOG)
 
 
 @final
 class _WaitingTasks:
-    """Tasks that wait for one thread, the next one first."""
+    """The tasks that wait for one thread, the next one first."""
 
     __slots__ = ("changed", "lines")
 
@@ -78,13 +78,13 @@ class _WaitingTasks:
 
 @final
 class Learning:
-    """The learning threads. They own every learner once the server runs.
+    """The learning threads, which own every learner once the server runs.
 
     Args:
         notice: Called with task, old model and new model. Two threads may call it at once, for different tasks.
-        due: Called with each task whose settings ask for a fit now.
-        drifted: Called with each task whose robot has changed, once before the restart of its outcome model is learned.
-        relearn: Makes the learner anew that a task goes back to by a rollback.
+        due: Called with each task for which a fit is due.
+        drifted: Called once with each task whose robot has changed, before the restart of its outcome model.
+        relearn: Rebuilds the learner that a rollback goes back to.
 
     Attributes:
         steps: Times of the learning steps, new model included.
@@ -118,16 +118,16 @@ class Learning:
 
     @property
     def backlog(self) -> int:
-        """Committed trials that wait to be learned."""
+        """Number of committed trials that wait to be learned."""
         return self._backlog
 
     @property
     def asked(self) -> int:
-        """Steps whose completion a request waits for."""
+        """Number of steps that requests wait for."""
         return self._asked
 
     def waiting(self, task: ServedTask) -> tuple[int, int]:
-        """The task's trials that wait to be learned, and its steps that requests wait for."""
+        """Numbers of the task's trials that wait to be learned, and of its steps that requests wait for."""
         line = self._lines.get(task)
         return (0, 0) if line is None else (line.trials, line.asked)
 
@@ -197,7 +197,7 @@ class Learning:
         return True
 
     def _take(self, turns: _WaitingTasks) -> tuple[_Line, list[_Step]] | None:
-        """The next task's next step, joined with the trials right behind it; None at the end."""
+        """The next step of the next task, joined with the trials right behind it; None at the end."""
         with self._lock:
             while not turns.lines and not self._over():
                 turns.changed.wait(max(self._deadline - time.monotonic(), 0.0) if self._closing else None)
@@ -226,7 +226,7 @@ class Learning:
         return time.monotonic() >= self._deadline or not waited_for
 
     def _give_back(self, line: _Line, long: bool) -> None:
-        """End a turn: the task goes behind all others."""
+        """End a turn: the task moves behind all others."""
         with self._lock:
             line.held, line.long = False, long
             if line.steps:
@@ -250,7 +250,7 @@ class Learning:
         result, failure = None, None
         try:
             result = _learn(task, group, self.steps, self._relearn)
-        except BaseException as error:  # a panic or exhausted memory too: this task stops, the others go on
+        except BaseException as error:  # also a panic or exhausted memory: only this task stops
             if not isinstance(error, Exception):
                 FAULTS.note(error)
             if not task.fault:
@@ -278,7 +278,7 @@ def _learn(
     steps: Durations,
     relearn: Callable[[ServedTask, Event], Learner] | None,
 ) -> Any:
-    """Apply one step, or the trials of several. A learner that failed is not used again: it would skip an entry."""
+    """Apply one step, or the trials of several. A failed learner is not used again, as it would skip an entry."""
     entries = group[0].entries
     if not isinstance(entries, Event):
         entries = [entry for step in group if not isinstance(step.entries, Event) for entry in step.entries]

@@ -1,7 +1,7 @@
-"""How long a request waits for its task to learn, estimated from the requests before it.
+"""Estimates how long a request waits for its task to learn, from earlier requests.
 
-Their number alone says little: a thousand reports are learned in a moment, a thousand changes of a long task in a
-minute, and no client waits that long.
+Their number alone is not enough: a thousand reports are learned in a moment, a thousand changes of a long task in a
+minute, longer than any client waits.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from typing import Any, Final, final
 __all__ = ["Waits"]
 
 _LONGEST_S: Final = 2.0  # an ordinary call gives up after 5 s
-_FEW: Final = 8  # that may always wait, or a task with long steps would accept no change
-_UNTRIED: Final = 64  # that may wait before the first answer
-_WEIGHT: Final = 0.25  # of the newest time in the mean
+_FEW: Final = 8  # requests that may always wait, or a task with long steps would accept none
+_UNTRIED: Final = 64  # requests that may wait before the first answer
+_WEIGHT: Final = 0.25  # weight of the newest time in the mean
 
 
 @final
@@ -54,7 +54,7 @@ class Waits:
     def timed(
         self, task: str, done: Callable[[Any, Exception | None], None]
     ) -> Callable[[Any, Exception | None], None]:
-        """Count one more waiting request until the returned callback, which calls `done`, is called."""
+        """Count one more waiting request until the returned callback, which calls `done`, runs."""
         began = self._clock()
         with self._lock:
             wait = self._of.setdefault(task, _Wait())

@@ -1,4 +1,4 @@
-"""Access to a log at any place: to read it, to write where no server does, and to copy tasks row by row."""
+"""Access to a log by its location: reads it, writes it where no server does, and copies tasks row by row."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def read_log(where: str | Path) -> LogReader:
 
 
 def database_summary(url: str) -> str:
-    """What stands in a database, and which server owns it; raises `StorageError` if it cannot be read."""
+    """Summary of a database and the servers that own it; raises `StorageError` if it cannot be read."""
     from crkr.server.log.postgres.database import PostgresDatabase
 
     database = PostgresDatabase(url)
@@ -68,10 +68,10 @@ def copy_tasks(
     """Copy tasks, each in one transaction, as the source is at this moment.
 
     Args:
-        source: Where from; a server may use it meanwhile.
-        target: Where to.
+        source: The source; a server may use it meanwhile.
+        target: The target.
         names: The tasks; none: all.
-        done: Told of each copied task and its number of entries.
+        done: Called with each copied task and its number of entries.
 
     Returns:
         The copied tasks.
@@ -79,7 +79,7 @@ def copy_tasks(
     Raises:
         UnknownTask: The source lacks one.
         Conflict: The target has one of that name.
-        StorageError: The source cannot be read, or the target not be written.
+        StorageError: The source cannot be read, or the target cannot be written.
     """
     with source.snapshot():
         there = source.tasks()
@@ -94,7 +94,7 @@ def copy_tasks(
 
 
 def copy_to_file(source: LogReader, target: Path) -> None:
-    """Copy a whole log into a new file of SQLite's, which gets its name only once it is complete."""
+    """Copy a whole log into a new SQLite file, which gets its name only once it is complete."""
     if target.exists():
         raise StorageError(f"{target} exists; choose another file")
     try:
@@ -115,7 +115,7 @@ def _write_file(source: LogReader, target: Path) -> None:
         finally:
             log.close()
         with closing(sqlite3.connect(log.path)) as copy:
-            copy.execute("PRAGMA journal_mode = DELETE")  # one file, complete in itself
+            copy.execute("PRAGMA journal_mode = DELETE")  # makes it a single file
         try:
             os.link(log.path, target)
         except FileExistsError:
@@ -150,5 +150,5 @@ def open_unserved(where: str) -> TaskLog:
     except BaseException:
         lease.give_up()
         raise
-    log.keep(lambda _: None)  # a write to a log that another server took is refused
+    log.keep(lambda _: None)  # a write is refused if another server took the log
     return log

@@ -1,8 +1,8 @@
-"""The number of acknowledged log positions, which a database that lost its end cannot know.
+"""Keeps the number of acknowledged log positions, to detect a database that lost its end.
 
-SQLite drops whatever stands in its write-ahead log behind a damaged byte, as it must after a crash, and a log that is
-cut off at a commit is whole in itself. So the number is kept in a file of its own, written after each commit and before
-the answer. It need not reach the disk: the log does so first, hence the number may lag behind it and never runs ahead.
+SQLite drops everything in its write-ahead log behind a damaged byte, as it must after a crash, and a log cut off at a
+commit looks complete. So the number is in a separate file, written after each commit and before the answer. The log
+reaches the disk first, so the number may lag behind but is never too large.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Tally:
         path = directory / TALLY_NAME
         try:
             self._file = open_data_file(path, os.O_RDWR | os.O_CREAT)
-            if os.fstat(self._file).st_nlink > 1:  # it is another program's file too
+            if os.fstat(self._file).st_nlink > 1:  # the file may be another program's
                 os.close(self._file)
                 path.unlink()
                 self._file = open_data_file(path, os.O_RDWR | os.O_CREAT | os.O_EXCL)
@@ -55,13 +55,13 @@ class Tally:
             logger.warning("the number of acknowledged log positions was not kept: %s", error.strerror)
 
     def close(self) -> None:
-        """Close the file; a later number is not written, and never into another file of the same descriptor."""
+        """Close the file; a later number is not written."""
         file, self._file = self._file, -1
         os.close(file)
 
 
 def read_tally(directory: Path) -> int:
-    """How many log positions were certainly acknowledged; 0 if the number was not stored.
+    """Number of log positions that were certainly acknowledged; 0 if unknown.
 
     Raises:
         StorageError: It cannot be read, or is no plain file.

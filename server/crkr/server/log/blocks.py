@@ -27,7 +27,7 @@ def columns_of(rows: Sequence[tuple[Any, ...]], dimensions: int, outputs: int, m
         measured: q where outcomes are learned from; 0 leaves them out.
 
     Raises:
-        StorageError: The content of one is not what was stored: it does not match its digest.
+        StorageError: A row does not match its digest.
     """
     seqs, ids, kinds, success, costs, states, goals, outcomes, digests = zip(*rows, strict=True)
     try:

@@ -1,4 +1,4 @@
-"""What later events of a log say of its trials: a trial is handed out as it is today, or not learned from any more."""
+"""Applies later events of a log to its trials: corrected values, removals and rollbacks."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ CORRECTIONS: Final = frozenset({"recost", "remove", "amend"})
 
 @final
 class Visible:
-    """Which log positions count at a certain one: a rollback hides those between the one it goes back to and itself.
+    """The log positions that count at a given one; a rollback hides those between its target and itself.
 
     Args:
-        rollbacks: Log positions of the rollbacks, ascending, and where each goes back to.
+        rollbacks: Log positions of the rollbacks, ascending, each with its target.
         upto: The last position that counts.
     """
 
@@ -36,12 +36,12 @@ class Visible:
 
     @classmethod
     def of(cls, events: Iterable[Event], upto: int) -> Visible:
-        """By a task's events."""
+        """Makes the value from a task's events."""
         return cls([(event.seq, event.body["to"]) for event in events if event.kind == "rollback"], upto)
 
     @property
     def whole(self) -> bool:
-        """Nothing is hidden."""
+        """Whether nothing is hidden."""
         return len(self.spans) == 1
 
     def __contains__(self, seq: int) -> bool:
@@ -57,10 +57,10 @@ class Visible:
 
 @final
 class Corrections:
-    """Follows the events of one task. Its one writer notes them; readers on other threads see whole events or none.
+    """Follows the events of one task. One writer adds them; readers on other threads see whole events only.
 
     Attributes:
-        undone: Requests to undo that were carried out: their ids -> log positions of the events.
+        undone: Ids of executed undo requests -> log positions of their events.
     """
 
     def __init__(self) -> None:
@@ -72,11 +72,11 @@ class Corrections:
 
     @property
     def newest(self) -> int | None:
-        """Log position of the newest correction that was not taken back and says what was before."""
+        """Log position of the newest correction that was not undone and holds the former values."""
         return self._undoable[-1] if self._undoable else None
 
     def note(self, event: Event) -> None:
-        """Follow one event."""
+        """Apply one event."""
         body = event.body
         if event.kind == "rollback":
             self._values.update(zip(body["ids"], body["values"], strict=True))
@@ -105,7 +105,7 @@ class Corrections:
                 self._values[one] = {**self._values[one], **change}
 
     def present(self, entry: dict[str, Any]) -> dict[str, Any]:
-        """A trial as a log hands it out, a wire map, with today's values."""
+        """A trial of the log, as a wire map with today's values."""
         hidden, values = self.hides(entry), self._values.get(entry["id"])
         if values is None:
             return {**entry, "removed": True} if hidden else entry
@@ -120,7 +120,7 @@ class Corrections:
         return kept | now
 
     def hides(self, entry: Mapping[str, Any]) -> bool:
-        """Whether the task was rolled back to before a trial."""
+        """Whether a rollback hides a trial."""
         return not self._visible.whole and entry["seq"] not in self._visible
 
 

@@ -1,8 +1,7 @@
-"""Files of a data directory, which may have been prepared by an attacker: only plain files are opened, never links.
+"""Opens files of a data directory, which an attacker may have prepared: plain files only, never links.
 
-A symbolic link would have its target overwritten, a fifo would block the start forever, and a database with two names
-would have two write-ahead logs. File systems of a network cannot hold a task log: they lack locks, or memory
-shared between processes.
+A symbolic link would get its target overwritten, a fifo would block the start forever, and a database with two names
+would have two write-ahead logs. Network file systems cannot hold a task log: they lack locks or shared memory.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ __all__ = [
 ]
 
 LOCAL_DISK: Final = "keep the data directory on a disk of the machine that runs the server"
-# What locking a file fails with where the file system, or its server, offers no locks.
+# Errors of a lock where the file system, or its server, has no locks.
 NO_LOCKS: Final = (errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS)
 _REMOTE: Final = ("nfs", "cifs", "smb", "lustre", "9p", "ceph", "gpfs", "beegfs", "afs", "fuse.", "virtiofs", "ncpfs")
 _MOUNTS: Final = Path("/proc/self/mountinfo")
@@ -45,13 +44,13 @@ _KINDS: Final = (
 
 
 def open_data_file(path: Path, flags: int) -> int:
-    """A descriptor of a plain file, which is created if `flags` say so.
+    """Opens a plain file; creates it if `flags` say so.
 
     Raises:
-        StorageError: Something else stands under its name.
+        StorageError: It is not a plain file.
         OSError: It cannot be opened.
     """
-    safe = os.O_NOFOLLOW | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC  # a fifo or a device is opened without a wait
+    safe = os.O_NOFOLLOW | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC  # opening a fifo or a device must not block
     try:
         file = os.open(path, flags | safe, 0o644)
     except OSError as error:
@@ -70,7 +69,7 @@ def check_database_files(path: Path, *, writing: bool = False) -> None:
     """Check a database and SQLite's files beside it; missing ones are fine.
 
     Raises:
-        StorageError: One is no plain file, or it is to be written and has another name elsewhere.
+        StorageError: One is not a plain file, or one to be written has another name elsewhere.
     """
     for suffix in _SUFFIXES:
         beside = path.with_name(path.name + suffix)
@@ -125,13 +124,13 @@ def file_system_of(path: Path) -> str | None:
             continue
         point = words[4].encode().decode("unicode_escape") if "\\" in words[4] else words[4]  # \040 is a space
         inside = where == point or where.startswith(point.rstrip("/") + "/")
-        if inside and len(point) >= len(best):  # the last of equals lies on top
+        if inside and len(point) >= len(best):  # the last mount at a place lies on top
             best, kind = point, about[0]
     return kind
 
 
 def is_remote(kind: str | None) -> bool:
-    """Whether a type is one of a network's file systems."""
+    """Whether a type is a network file system."""
     return kind is not None and kind.startswith(_REMOTE)
 
 

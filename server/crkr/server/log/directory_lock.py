@@ -1,8 +1,8 @@
 """Advisory locks that give a data directory to one server; the kernel frees them when the process dies.
 
-The directory itself is locked, which nobody can remove unnoticed while its log is in use, and the file `lock` in it,
-which is all that servers before 0.2 look at. Where the file is removed under a running server, it is made and locked
-anew.
+Both the directory and the file `lock` in it are locked: the directory cannot be removed unnoticed while its log is in
+use, and servers before 0.2 check the file only. If the file is removed while the server runs, it is created and locked
+again.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ logger = logging.getLogger(__name__)
 
 _NAME: Final = "lock"
 _FAR: Final = 2**40  # beyond the end of the file
-# What NFS says of a directory, which it cannot lock exclusively; the file is locked there all the same.
+# Error of NFS, which cannot lock a directory exclusively; the file is locked there.
 _FILES_ONLY: Final = (errno.EBADF, errno.EINVAL, errno.EISDIR)
 
 
@@ -59,14 +59,14 @@ class DirectoryLock:
         """Check that the lock file is still the locked one.
 
         Raises:
-            StorageError: It was replaced, and another process holds what stands in its place.
+            StorageError: It was replaced, and another process holds the new one.
         """
         if self._locked is not None and identity(self._name) == self._locked:
             return
         before, self._file = self._file, self._locked_file()
         os.close(before)
         self._locked = identity(self._lock)
-        logger.warning("%s was removed while the server runs, and is made anew: leave it there", self._lock)
+        logger.warning("%s was removed while the server runs, and is made again: leave it there", self._lock)
 
     def release(self) -> None:
         """Unlock. The file stays; it means nothing by itself."""
@@ -85,7 +85,7 @@ class DirectoryLock:
                 if identity(self._lock) != (opened.st_dev, opened.st_ino):  # removed just now
                     os.close(file)
                     continue
-                if opened.st_nlink == 1:  # else it is another program's file too
+                if opened.st_nlink == 1:  # else the file may be another program's
                     os.ftruncate(file, 0)
                     os.pwrite(file, f"{os.getpid()}\n".encode(), 0)
             except StorageError:

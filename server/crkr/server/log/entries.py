@@ -14,7 +14,7 @@ EVENT_KINDS: Final = (
     "create", "recost", "remove", "amend", "configure", "fit", "restart", "rollback", "rename", "archive", "delete",
 )  # fmt: skip
 DELETED: Final = "deleted/"
-"""How the names of deleted tasks begin in a log; no task of a key is called so."""
+"""Prefix of deleted tasks' names in a log; no key can contain it."""
 
 
 @final
@@ -42,11 +42,10 @@ class Event:
         seq: Log position in its task.
         time: When it was committed [unix s].
         kind: One of `EVENT_KINDS`.
-        body: Its numbers as plain data: the specification of a create, ids and costs of a recost, ids of a remove,
-            ids and new values of an amend, changes of a configure, the resulting numbers of a fit; nothing of an
-            archive and of a restart, the position and the values to go back to of a rollback, the new name of a rename
-            and of a delete. What was before stands in `was`, what is taken back in `undoes`, and the asker's id of what
-            must not be done twice in `request`.
+        body: Plain data: the specification of a create; ids and costs of a recost; ids of a remove; ids and new values
+            of an amend; changes of a configure; numbers of a fit; position and former values of a rollback; the new
+            name of a rename or delete; empty for an archive or restart. `was` has former values, `undoes` the undone
+            event, and `request` the id of a request that must not be executed twice.
     """
 
     seq: int
@@ -70,7 +69,7 @@ class Stored:
     """The result of a stored report.
 
     Attributes:
-        seqs: Log positions in the order of the report, a duplicate's original one.
+        seqs: Log positions in report order, the original one for a duplicate.
         fresh: The trials that were new, in log order.
     """
 

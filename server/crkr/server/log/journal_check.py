@@ -1,9 +1,9 @@
-"""Detects journals left beside a database that they do not belong to; SQLite would apply them to it.
+"""Detects journals that belong to another database than the one beside them; SQLite would apply them.
 
-Their pages would replace those of the log. What tells of a write-ahead log: a task's creation never changes, so the
-database as its last checkpoint left it and the database with its write-ahead log must agree on every creation that both
-hold. A rollback journal is ours only for a moment, while a new or restored database is given its write-ahead log, which
-changes nothing but numbers in the first page.
+Their pages would replace those of the log. A write-ahead log is checked by the tasks' creations, which never change:
+the database at its last checkpoint and with its write-ahead log must agree on all that both hold. crkr has a rollback
+journal only for a moment, when a new or restored database gets its write-ahead log, which changes only numbers in the
+first page.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ _CREATIONS: Final = (
 
 
 def refuse_foreign_wal(connection: sqlite3.Connection, path: Path) -> None:
-    """Compares what `connection` reads with the file alone.
+    """Compares the view of `connection` with the file alone.
 
     Raises:
         StorageError: The write-ahead log is another database's.
     """
     beside = path.with_name(f"{path.name}-wal")
-    # A server that empties its write-ahead log just now may let the file be read half old, half new: look twice.
+    # A server that empties its write-ahead log at this moment may show the file half old, half new: look twice.
     if all(_contradicts(connection, path, beside) for _ in range(2)):
         raise StorageError(
             f"{beside} belongs to another database than {path}: together they are no log; restore a backup, or bring "
@@ -46,10 +46,10 @@ def refuse_foreign_wal(connection: sqlite3.Connection, path: Path) -> None:
 
 
 def refuse_foreign_journal(path: Path) -> bool:
-    """Look at the rollback journal beside a database; returns whether SQLite has to play one back.
+    """Checks the rollback journal beside a database; returns whether SQLite has to apply it.
 
     Raises:
-        StorageError: It is another database's, or of a change that no crkr makes.
+        StorageError: It belongs to another database, or to a change that crkr does not make.
     """
     beside = path.with_name(f"{path.name}-journal")
     try:
@@ -58,7 +58,7 @@ def refuse_foreign_journal(path: Path) -> bool:
         return False
     except OSError as error:
         raise StorageError(f"{beside} cannot be read: {error.strerror}") from error
-    if len(journal) < _HEAD.size or not journal.startswith(_MAGIC):  # SQLite plays nothing back of it
+    if len(journal) < _HEAD.size or not journal.startswith(_MAGIC):  # SQLite ignores it
         return bool(journal)
     _, _, _, pages, sector, page_size = _HEAD.unpack_from(journal)
     page_size = page_size or 1
@@ -85,7 +85,7 @@ def _start(path: Path) -> bytes:
 
 
 def _same(one: bytes, other: bytes) -> bool:
-    """Whether two first pages of a database are alike but for what giving it a write-ahead log changes."""
+    """Whether two first pages of a database differ only in what a new write-ahead log changes."""
     pages = [bytearray(one), bytearray(other)]
     for page in pages:
         for part in _CHANGING:
@@ -104,7 +104,7 @@ def _contradicts(connection: sqlite3.Connection, path: Path, beside: Path) -> bo
 
 
 def _alone(path: Path) -> dict[int, tuple[Any, ...]]:
-    """Creation events in the file without its write-ahead log; none if it cannot be read that way."""
+    """Creation events in the file without its write-ahead log; empty if it cannot be read so."""
     try:
         connection = sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro&immutable=1", uri=True)
         try:

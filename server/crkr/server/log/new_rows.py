@@ -1,4 +1,4 @@
-"""New rows of the tables, made from reports and events before anything is stored."""
+"""Makes new table rows from reports and events, before anything is stored."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class NewRows:
     """Rows of the trials of several reports, to be stored together.
 
     Args:
-        last: Task -> log position of its last entry; moved on by what is added.
+        last: Task -> log position of its last entry; advances with additions.
 
     Attributes:
         trials: The rows: the task's key, then `TRIAL_COLUMNS`.
@@ -32,12 +32,12 @@ class NewRows:
         self._seen: dict[tuple[int, bytes], tuple[int, bytes]] = {}
 
     def add(self, key: int, report: PendingReport, find: Find) -> Stored | Conflict:
-        """Add the trials of a report that are new; one in conflict adds nothing.
+        """Add the new trials of a report; a conflicting report adds nothing.
 
         Args:
             key: The task's key.
             report: The report.
-            find: Gives position and digest of a stored trial by key and id, or None.
+            find: Returns position and digest of a stored trial by key and id, or None.
         """
         last = self._last[report.task]
         seqs: list[int] = []
@@ -62,17 +62,17 @@ class NewRows:
 
 
 def event_row(key: int, seq: int, kind: str, body: Mapping[str, Any]) -> tuple[Event, tuple[Any, ...]]:
-    """An event as a reader would find it, and its row: task, seq, time, kind, body, digest."""
+    """An event as a reader returns it, and its row: task, seq, time, kind, body, digest."""
     now, data = time.time(), pack(body)
     return Event(seq, now, kind, unpack(data, depth=None)), (key, seq, now, kind, data, body_digest(kind, data))
 
 
 def changed_marks(event: Event, find: Callable[[bytes], tuple[Any, ...] | None], key: int) -> Iterator[tuple[Any, ...]]:
-    """What an event changes in rows of trials: present cost, removed, digest, task and id of each.
+    """The trial rows that an event changes: current cost, removed, digest, task and id of each.
 
     Args:
-        event: Any; only a recost and a remove change some.
-        find: Gives the row of a trial, `ROW_COLUMNS`, by its id.
+        event: The event; only recost and remove change rows.
+        find: Returns the row of a trial, `ROW_COLUMNS`, by its id.
         key: The task's key.
     """
     costs = event.body["costs"] if event.kind == "recost" else None
@@ -87,7 +87,7 @@ def changed_marks(event: Event, find: Callable[[bytes], tuple[Any, ...] | None],
 
 
 def new_name(event: Event) -> str | None:
-    """The name that an event gives its task; None for most."""
+    """The new name that an event gives its task; None for most."""
     return str(event.body["name"]) if event.kind in ("rename", "delete") else None
 
 

@@ -37,14 +37,14 @@ _POSITIONS: Final = """SELECT id, name, (SELECT coalesce(max(seq), 0) FROM trial
                        FROM task AS task_of"""
 _CACHE: Final = "SELECT version, data, digest FROM cache WHERE task = ?"
 _BLOCK: Final = 4096  # trials read together
-_FEW: Final = 64  # events read together: each may be large
+_FEW: Final = 64  # events per query: each may be large
 _PAGE_BYTES: Final = 2**18  # of rows read together; larger rows are read one by one
 _SHARE: Final = 512  # rows of a page read together: each may be large
 _ROW_BYTES: Final = 240  # of a page entry, its vectors and info aside
 
 
 class Database(Protocol):
-    """A log's tables. Each thread has its own connection, which sees whole commits only."""
+    """The tables of a log. Each thread has its own connection, which sees whole commits only."""
 
     @property
     def where(self) -> str:
@@ -56,19 +56,19 @@ class Database(Protocol):
 
     @property
     def acknowledged(self) -> int:
-        """How many log positions, of all tasks, were certainly acknowledged; 0 if unknown."""
+        """Number of log positions of all tasks that were certainly acknowledged; 0 if unknown."""
 
     def rows(self, statement: str, *values: object) -> list[tuple[Any, ...]]:
         """The rows that a statement gives; ? stands for a value."""
 
     def errors(self, doing: str) -> AbstractContextManager[None]:
-        """Turn what the database raises, and columns of a wrong type, into `StorageError`."""
+        """Turn database errors, and columns of a wrong type, into `StorageError`."""
 
     def snapshot(self) -> AbstractContextManager[None]:
-        """Within the block, this thread reads the log as of the first read."""
+        """Context in which this thread reads the log as of the first read."""
 
     def integrity(self) -> list[str]:
-        """Errors that the database finds in its own layout; reads everything."""
+        """Errors that the database finds in its layout; reads everything."""
 
     def close(self) -> None:
         """Close the connections of this thread and of those that ended; idempotent."""
@@ -76,13 +76,13 @@ class Database(Protocol):
 
 @final
 class LogReader:
-    """Entries of all tasks. Every method raises `StorageError` when the store cannot be read.
+    """Reads entries of all tasks. Every method raises `StorageError` if the store cannot be read.
 
     Attributes:
         where: The place of the log, for messages.
         is_log: There are tables in it.
-        snapshot: Gives a block within which this thread reads the log as of the first read.
-        integrity: Gives the errors that the store finds in its own layout; reads everything.
+        snapshot: Context in which this thread reads the log as of the first read.
+        integrity: Errors that the store finds in its layout; reads everything.
         close: Closes the connections of this thread and of those that ended; idempotent.
     """
 
@@ -119,7 +119,7 @@ class LogReader:
             return {str(name): max(int(trial), int(event)) for _, name, trial, event in found}
 
     def lost_end(self) -> str:
-        """What to say of a log that lacks acknowledged entries; "" if it lacks none."""
+        """Error text for a log that lacks acknowledged entries; "" if it lacks none."""
         acknowledged = self._database.acknowledged
         held = sum(self.positions().values())
         return lost_end(self.where, held, acknowledged) if held < acknowledged else ""
@@ -136,7 +136,7 @@ class LogReader:
             yield from map(_event, self._pages(_EVENTS, self._key(task), 0, _END, _FEW))
 
     def event(self, task: str, seq: int) -> Event | None:
-        """The event at a log position, None where there is none."""
+        """The event at a log position, or None."""
         with self._database.errors(f"read the log of task {task!r}"):
             return next(map(_event, self._database.rows(_EVENT, self._key(task), seq)), None)
 
@@ -168,7 +168,7 @@ class LogReader:
     def blocks(
         self, task: str, dimensions: int, outputs: int, measured: int, upto: int
     ) -> Iterator[TrialColumns | Event]:
-        """The entries up to a log position as `read` gives them, neighbouring trials together; many times quicker."""
+        """The entries up to a log position as in `read`, successive trials together; many times faster."""
         with self._database.errors(f"read the log of task {task!r}"):
             key = self._key(task)
             events = map(_event, self._pages(_EVENTS, key, 0, upto, _FEW))
@@ -187,13 +187,13 @@ class LogReader:
                     yield event
 
     def page(self, task: str, after: int, limit: int, most_bytes: int) -> tuple[list[dict[str, Any]], int | None]:
-        """Trials past a log position as wire maps with their present costs, and where to go on (None at the end)."""
+        """Trials past a log position as wire maps with current costs, and the next position (None at the end)."""
         return self._page(_PAGE, task, after, limit, most_bytes)
 
     def page_before(
         self, task: str, before: int | None, limit: int, most_bytes: int
     ) -> tuple[list[dict[str, Any]], int | None]:
-        """The same backwards: trials before a log position (None: from the end), newest first, and where to go on."""
+        """The same backwards: trials before a log position (None: the end), newest first, and the next position."""
         return self._page(_PAGE_BEFORE, task, _END if before is None else before, limit, most_bytes)
 
     def _page(
@@ -213,13 +213,13 @@ class LogReader:
         return entries, None
 
     def check(self, task: str, upto: int) -> None:
-        """Raise `StorageError` for the first trial, up to a log position, whose row is not what was stored."""
+        """Raise `StorageError` for the first damaged trial up to a log position."""
         with self._database.errors(f"check the rows of task {task!r}"):
             for row in self._pages(_TRIALS, self._key(task), 0, upto, _BLOCK):
                 check_row(row)
 
     def raw(self, task: str) -> tuple[Iterator[tuple[Any, ...]], Iterator[tuple[Any, ...]]]:
-        """A task's events and its trials as the tables hold them, without the task's key, to be stored elsewhere."""
+        """A task's event and trial rows without the task's key, to be stored elsewhere."""
         with self._database.errors(f"read the log of task {task!r}"):
             key = self._key(task)
             upto = self._last(key)
@@ -248,7 +248,7 @@ class LogReader:
         return max(int(trial), int(event))
 
     def _pages(self, statement: str, key: int, after: int, upto: int, share: int) -> Iterator[tuple[Any, ...]]:
-        """Rows in order of seq, few at a time: a long read would keep the database from clearing up."""
+        """Rows in order of seq, few at a time: a long read would keep the database from its clean-up."""
         wanted = 1
         while rows := self._database.rows(statement, key, after, upto, wanted):
             yield from rows

@@ -1,8 +1,7 @@
-"""Trials as database rows and back, with digests that prove a row is what was stored.
+"""Converts trials to database rows and back; digests prove that a row is unchanged.
 
-A trial's `success` column holds its `flags`. Its `digest` column holds two things: 16 bytes over its content, by which
-a report of the same trial is known, and 8 more, its seal, over those and over all else that stands in the row. Rows of
-the first schema have no seal.
+A trial's `success` column holds its `flags`. Its `digest` column holds 16 bytes over the content, which identify a
+repeated report, and a seal of 8 bytes over those and the rest of the row. Rows of the first schema have no seal.
 """
 
 from __future__ import annotations
@@ -122,7 +121,7 @@ def wire_of(row: tuple[Any, ...]) -> dict[str, Any]:
 
 
 def changed_digest(row: tuple[Any, ...], cost: float | None, removed: bool) -> bytes:
-    """The digest column of a row, read as `ROW_COLUMNS`, whose present cost and mark become these.
+    """The new digest column of a row, read as `ROW_COLUMNS`, for a new current cost and removal mark.
 
     Raises:
         StorageError: The row is not what was stored.
@@ -142,12 +141,12 @@ def content_digest(
 
 
 def body_digest(kind: str, body: bytes) -> bytes:
-    """16 bytes that show whether an event is still what was stored."""
+    """16 bytes that show whether an event is unchanged."""
     return blake2b(kind.encode() + b"\0" + body, digest_size=16).digest()
 
 
 def check_row(row: tuple[Any, ...]) -> None:
-    """Raise `StorageError` for a row of `ROW_COLUMNS` that is not what was stored."""
+    """Raise `StorageError` for a damaged row of `ROW_COLUMNS`."""
     seq, time, identity, kind, success, cost, state, goal, outcome, worker, version, info, digest, *present = row
     try:
         intact = digest[:DIGEST_BYTES] == content_digest(kind, success, cost, state, goal, outcome)

@@ -1,4 +1,4 @@
-"""The tables of the log's database, which are checked before it is opened."""
+"""The tables of the log's database, and the check of them before it is opened."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ __all__ = [
 ]
 
 FILE_NAME: Final = "crkr.sqlite3"
-# 2: a digest covers the whole row; rows of the first version are read as they are. 3: `success` holds `learn` too.
+# 2: a digest covers the whole row; version 1 rows are read unchanged. 3: `success` holds `learn` too.
 SCHEMA_VERSION: Final = 3
 APPLICATION_ID: Final = 0x63726B72  # "crkr"; `file` and SQLite tools show it
 BUSY_TIMEOUT_S: Final = 5.0
@@ -43,7 +43,7 @@ CREATE TABLE trial (
     PRIMARY KEY (task, seq)) WITHOUT ROWID;
 CREATE UNIQUE INDEX trial_id ON trial (task, id);
 """
-# What makes a restart quick and may be dropped at any time: the log alone is the truth.
+# Makes a restart quick; may be dropped at any time, as the log alone is the truth.
 CACHE: Final = """
 CREATE TABLE IF NOT EXISTS cache (task INTEGER PRIMARY KEY, version INTEGER NOT NULL, data BLOB NOT NULL,
     digest BLOB NOT NULL)
@@ -51,12 +51,12 @@ CREATE TABLE IF NOT EXISTS cache (task INTEGER PRIMARY KEY, version INTEGER NOT 
 
 _RESTORE: Final = "somebody changed it; restore a backup"
 
-# The statements are right: where SQLite finds an error in one, the tables are not those that were made.
+# The statements are right, so an error in one means that the tables were changed.
 _DAMAGED: Final = ("SQLITE_CORRUPT", "SQLITE_CORRUPT_INDEX", "SQLITE_NOTADB", "SQLITE_ERROR")
-# What SQLite fails with where the file system has no locks, or no memory that processes share.
+# SQLite's errors on a file system without locks or shared memory.
 _UNLOCKABLE: Final = ("SQLITE_IOERR_LOCK", "SQLITE_IOERR_RDLOCK", "SQLITE_IOERR_UNLOCK", "SQLITE_NOLFS")
 _UNLOCKABLE_STARTS: Final = ("SQLITE_IOERR_SHM", "SQLITE_PROTOCOL")
-# Statistics of the query planner, which ANALYZE leaves and which change no answer.
+# Statistics that ANALYZE leaves for the query planner; they change no answer.
 _STATISTICS: Final = {
     "sqlite_stat1": "CREATE TABLE sqlite_stat1(tbl,idx,stat)",
     "sqlite_stat4": "CREATE TABLE sqlite_stat4(tbl,idx,neq,nlt,ndlt,sample)",
@@ -65,7 +65,7 @@ _STATISTICS: Final = {
 
 @contextmanager
 def storage_errors(doing: str) -> Iterator[None]:
-    """Turn SQLite's errors into `StorageError`, with what was being done."""
+    """Turn SQLite's errors into `StorageError`, which names the action."""
     try:
         yield
     except sqlite3.Error as error:
@@ -105,7 +105,7 @@ def connect(path: Path, *, read_only: bool = False) -> sqlite3.Connection:
         check_same_thread=False,
     )
     connection.execute("PRAGMA cache_size = -65536")  # 64 MiB keeps the id index of a million trials in memory
-    connection.execute("PRAGMA trusted_schema = OFF")  # a prepared database runs no function with side effects
+    connection.execute("PRAGMA trusted_schema = OFF")  # an attacker's database must not run functions with side effects
     connection.execute("PRAGMA cell_size_check = ON")
     if hasattr(connection, "setconfig"):  # from Python 3.12
         connection.setconfig(getattr(sqlite3, "SQLITE_DBCONFIG_DEFENSIVE"))  # noqa: B009  # 3.11's stub lacks it
@@ -116,7 +116,7 @@ def open_database(path: Path) -> sqlite3.Connection:
     """Open the log for writing, creating it if missing.
 
     Raises:
-        StorageError: It is damaged, of a newer version, no log at all, or cannot be written.
+        StorageError: It is damaged, of a newer version, not a log, or cannot be written.
     """
     with read_errors(f"open the task log {path}"):
         connection = connect(path)
@@ -129,10 +129,10 @@ def open_database(path: Path) -> sqlite3.Connection:
 
 
 def check_version(connection: sqlite3.Connection, path: Path) -> bool:
-    """Whether there is a log already.
+    """Whether there is a log.
 
     Raises:
-        StorageError: The database is another program's, of a newer version, or holds other tables than ours.
+        StorageError: The database is another program's, of a newer version, or has other tables.
     """
     version = int(connection.execute("PRAGMA user_version").fetchone()[0])
     application = int(connection.execute("PRAGMA application_id").fetchone()[0])
@@ -149,9 +149,9 @@ def check_version(connection: sqlite3.Connection, path: Path) -> bool:
 
 
 def check_schema(connection: sqlite3.Connection, path: Path) -> None:
-    """Compare tables and indexes with those that crkr makes, before anything is read.
+    """Compare tables and indexes with crkr's own, before anything is read.
 
-    A trigger would change what was just acknowledged, and a view in a table's place may have no end.
+    A trigger could change acknowledged rows, and a view instead of a table could be endless.
 
     Raises:
         StorageError: One is missing, changed, or not crkr's. Only the cache may be missing.
@@ -175,7 +175,7 @@ def _objects(connection: sqlite3.Connection) -> dict[tuple[str, str], tuple[str,
 
 @cache
 def _expected() -> dict[tuple[str, str], tuple[str, str]]:
-    """The schema as SQLite stores it for our own statements."""
+    """The schema as SQLite stores it for our statements."""
     connection = sqlite3.connect(":memory:")
     try:
         connection.executescript(TABLES + CACHE)
@@ -198,8 +198,8 @@ def _prepare(connection: sqlite3.Connection, path: Path) -> None:
             f"BEGIN IMMEDIATE; {TABLES} PRAGMA application_id = {APPLICATION_ID};"
             f"PRAGMA user_version = {SCHEMA_VERSION}; COMMIT;"
         )
-    connection.execute("BEGIN IMMEDIATE")  # fails here, not at the first report, where nothing can be written
+    connection.execute("BEGIN IMMEDIATE")  # on a full or read-only disk, fail here, not at the first report
     connection.execute(CACHE)
     if connection.execute("PRAGMA user_version").fetchone()[0] != SCHEMA_VERSION:
-        connection.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")  # an older crkr could not read what is added now
+        connection.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")  # an older crkr could not read new rows
     connection.execute("COMMIT")

@@ -26,7 +26,7 @@ class SqliteDatabase:
     Attributes:
         where: The file.
         is_log: There are tables in it.
-        acknowledged: Log positions that the file beside it says were acknowledged.
+        acknowledged: Acknowledged log positions, by the file beside it.
 
     Raises:
         StorageError: There is no log, it is damaged, or of a newer version.
@@ -38,7 +38,7 @@ class SqliteDatabase:
             raise StorageError(f"there is no task log {path}")
         self._path = path
         self.where: Final = str(path)
-        self.acknowledged: Final = read_tally(path.parent)  # before the log, which a server may add to meanwhile
+        self.acknowledged: Final = read_tally(path.parent)  # before the log, which a server may extend meanwhile
         self._threads = threading.local()
         self._open: list[tuple[threading.Thread, sqlite3.Connection]] = []
         try:
@@ -69,16 +69,16 @@ class SqliteDatabase:
             connection.execute("ROLLBACK")
 
     def integrity(self) -> list[str]:
-        """Errors that SQLite finds in the database's pages and indexes; reads everything."""
+        """Errors that SQLite finds in pages and indexes; reads everything."""
         with read_errors("check the task log"):
             found = [str(row[0]) for row in self.rows("PRAGMA integrity_check")]
         return [] if found == ["ok"] else found
 
     def backup(self, target: Path) -> None:
-        """Copy the present log into a new file, which gets its name only once it is complete."""
+        """Copy the current log into a new file, which gets its name only once it is complete."""
         if target.exists():
             raise StorageError(f"{target} exists; choose another file")
-        partial = target.with_name(f"{target.name}.{os.getpid()}.partial")  # another backup's is not ours to end
+        partial = target.with_name(f"{target.name}.{os.getpid()}.partial")  # may be another backup's
         try:
             with storage_errors(f"back up to {target}"):
                 os.close(
@@ -87,7 +87,7 @@ class SqliteDatabase:
                 copy = sqlite3.connect(partial)
                 try:
                     self._connection().backup(copy)
-                    copy.execute("PRAGMA journal_mode = DELETE")  # one file, complete in itself
+                    copy.execute("PRAGMA journal_mode = DELETE")  # makes it a single file
                 finally:
                     copy.close()
             os.replace(partial, target)
@@ -98,7 +98,7 @@ class SqliteDatabase:
     def close(self) -> None:
         """Close the connections of this thread and of those that ended; idempotent.
 
-        One that another thread may just be reading from is left to that thread: to close it would end the process.
+        A connection that another thread may be reading from is left to that thread: closing it would crash the process.
         """
         while self._open:
             thread, connection = self._open.pop()

@@ -33,8 +33,8 @@ _INSERT: Final = f"INSERT INTO trial (task, {TRIAL_COLUMNS}) VALUES ({', '.join(
 _INSERT_WHOLE: Final = f"INSERT INTO trial (task, {ROW_COLUMNS}) VALUES ({', '.join('?' * 16)})"
 _FIND: Final = "SELECT seq, digest FROM trial WHERE task = ? AND id = ?"
 _ROW: Final = f"SELECT {ROW_COLUMNS} FROM trial WHERE task = ? AND id = ?"
-_TICK_NS: Final = 100_000_000  # longer than any file system's clock takes for a step
-_CLOSE_PATIENCE_S: Final = 0.5  # with a commit that is under way
+_TICK_NS: Final = 100_000_000  # longer than the clock tick of any file system
+_CLOSE_PATIENCE_S: Final = 0.5  # for a running commit
 _INSERT_EVENT: Final = "INSERT INTO event (task, seq, time, kind, body, digest) VALUES (?, ?, ?, ?, ?, ?)"
 _MARK: Final = "UPDATE trial SET present_cost = ?, removed = ?, digest = ? WHERE task = ? AND id = ?"
 
@@ -62,7 +62,7 @@ class SqliteLog:
             undo.callback(self._writer.close)
             self._files = identities(self.path)
             self._where = str(directory)
-            self._directory: tuple[int, int, int] | None = None  # as it was when all names were looked at
+            self._directory: tuple[int, int, int] | None = None  # as of the last check of all names
             self._seen: tuple[tuple[int, int, int] | None, int] = None, 0  # a directory, and since when it is so [ns]
             self.reads = LogReader(SqliteDatabase(self.path))
             undo.callback(self.reads.close)
@@ -83,7 +83,7 @@ class SqliteLog:
 
     @property
     def log_id(self) -> None:
-        """None: one server at a time has the file, and clients know it by an id of its own."""
+        """None: one server at a time has the file, and clients know it by its own id."""
         return None
 
     def recover(self) -> list[tuple[str, list[LoggedTrial | Event]]]:
@@ -127,7 +127,7 @@ class SqliteLog:
         return event
 
     def purge(self) -> list[str]:
-        """Remove deleted tasks for good; returns the names that they had in the log."""
+        """Remove deleted tasks from the log; returns the names that they had there."""
         gone = [name for name in self._last if name.startswith(DELETED)]
         left = self._positions - sum(self._last[name] for name in gone)
         with self._transaction("purge the deleted tasks") as connection:
@@ -144,7 +144,7 @@ class SqliteLog:
         return gone
 
     def adopt(self, task: str, events: Iterable[tuple[Any, ...]], trials: Iterable[tuple[Any, ...]]) -> int:
-        """Store another log's rows of a task as they are, in one transaction; returns how many there were."""
+        """Store a task's rows of another log unchanged, in one transaction; returns their number."""
         with self._transaction(f"copy task {task!r}") as connection:
             key = _insert_task(connection, task)
             for statement, rows in ((_INSERT_EVENT, events), (_INSERT_WHOLE, trials)):
@@ -168,9 +168,9 @@ class SqliteLog:
         """Bytes of the log's files, and those free on its disk."""
         stored = free = 0
         for path in self.path.parent.glob("*.sqlite3*"):
-            with suppress(FileNotFoundError):  # a backup that is being made, or SQLite's own at the end
+            with suppress(FileNotFoundError):  # a backup in progress, or SQLite's own file at the end
                 stored += path.stat().st_size
-        with suppress(OSError):  # moved away: there is no room then
+        with suppress(OSError):  # moved away: no room
             disk = os.statvfs(self.path.parent)
             free = disk.f_bavail * disk.f_frsize
         return stored, free
@@ -178,8 +178,8 @@ class SqliteLog:
     def close(self) -> None:
         """Empty the write-ahead log into the database and unlock the directory; idempotent.
 
-        A running commit is waited for. One that outlasts the patience closes the log itself when it ends, and this call
-        raises `StorageError`.
+        Waits for a running commit. One that outlasts the patience closes the log when it ends, and this call raises
+        `StorageError`.
         """
         self._closing = True
         if not self._writing.acquire(timeout=_CLOSE_PATIENCE_S):
@@ -226,10 +226,10 @@ class SqliteLog:
                 self._end_if_closing()
 
     def _refuse_moved_files(self, doing: str) -> None:
-        """Raise `StorageError` if a file of the log has lost its name: what SQLite writes to it would be lost.
+        """Raise `StorageError` if a file of the log has lost its name, as SQLite's writes to it would be lost.
 
-        The directory's time of change covers all names in it, but two changes in one tick of the clock share a time.
-        So an unchanged directory is trusted only if the names were last checked more than a tick after its change.
+        The directory's time of change covers all its names, but two changes within a clock tick share a time. So an
+        unchanged directory is trusted only if the names were checked more than a tick after its change.
         """
         directory, now = self._look_at_directory(), time.monotonic_ns()
         if directory is not None and directory == self._directory:
@@ -242,7 +242,7 @@ class SqliteLog:
             self._directory = directory if now - self._seen[1] > _TICK_NS else None
             return
         if str(self.path) not in moved:
-            with suppress(sqlite3.Error):  # what only the lost file holds is brought into the database
+            with suppress(sqlite3.Error):  # brings the lost file's content into the database
                 self._writer.execute("PRAGMA wal_checkpoint(FULL)")
         raise StorageError(
             f"cannot {doing}: the task log {moved[0]} was moved, removed or replaced while the server runs; put it "
@@ -275,7 +275,7 @@ class SqliteLog:
         return int(self._writer.execute("PRAGMA data_version").fetchone()[0])
 
     def _end_if_closing(self) -> None:
-        """Close after the last commit; a failure to close is logged, as the commit itself succeeded."""
+        """Close after the last commit; a failure is only logged, as the commit succeeded."""
         if self._closing:
             try:
                 self._end()
@@ -284,7 +284,7 @@ class SqliteLog:
 
 
 def _play_back(path: Path) -> None:
-    """Let SQLite roll back an interrupted change, which it does before its first read."""
+    """Let SQLite roll back an interrupted change, as it does before its first read."""
     with storage_errors(f"undo what was interrupted in the task log {path}"):
         connection = connect(path)
         try:
@@ -294,7 +294,7 @@ def _play_back(path: Path) -> None:
 
 
 def _refuse_what_lost_its_end(path: Path) -> None:
-    """Raise `StorageError` if acknowledged entries are missing, before SQLite may discard what it cannot read."""
+    """Raise `StorageError` if acknowledged entries are missing, before SQLite discards what it cannot read."""
     if path.is_file() and path.stat().st_size:
         reader = LogReader(SqliteDatabase(path))
         try:

@@ -14,10 +14,10 @@ __all__ = ["TaskLog"]
 
 
 class TaskLog(Protocol):
-    """Stores events of many tasks, durably before a method returns, one write at a time.
+    """Stores events of many tasks, one write at a time; they are durable when a method returns.
 
-    Every method raises `StorageError` when the store cannot be written; nothing is half written then. Where the store
-    is away, or another server owns it now, a writing method raises `ShuttingDown`: the same request may be sent again.
+    Every method raises `StorageError` if the store cannot be written; nothing is half written. A writing method raises
+    `ShuttingDown` if the store is away, or another server owns it; the request may be sent again.
     """
 
     @property
@@ -33,7 +33,7 @@ class TaskLog(Protocol):
         """Identifies a log that several servers share."""
 
     def recover(self) -> list[tuple[str, list[LoggedTrial | Event]]]:
-        """Tasks and entries that are stored although the method that wrote them raised `ShuttingDown`.
+        """Tasks and entries that were stored although the write raised `ShuttingDown`.
 
         Called before each write. Raises as the writing methods do while the store is away.
         """
@@ -44,17 +44,17 @@ class TaskLog(Protocol):
     def append_reports(self, reports: Sequence[PendingReport]) -> Sequence[Stored | Conflict | ShuttingDown]:
         """Store several reports in one transaction; a report in conflict leaves the others alone.
 
-        `ShuttingDown` stands for a report of a task that another server owns now.
+        The result is `ShuttingDown` for a report of a task that another server owns now.
         """
 
     def append_event(self, task: str, kind: str, body: Mapping[str, Any]) -> Event:
         """Store an event and update the trials it names; a `rename` or `delete` gives the task the name in its body."""
 
     def purge(self) -> list[str]:
-        """Remove deleted tasks for good; returns the names that they had in the log."""
+        """Remove deleted tasks from the log; returns the names that they had there."""
 
     def adopt(self, task: str, events: Iterable[tuple[Any, ...]], trials: Iterable[tuple[Any, ...]]) -> int:
-        """Store another log's rows of a task, as `LogReader.raw` gives them; returns how many there were."""
+        """Store a task's rows of another log, from `LogReader.raw`; returns their number."""
 
     def save_cache(self, task: str, version: int, data: bytes) -> None:
         """Cache bytes that belong to a log position, replacing earlier ones."""

@@ -1,4 +1,4 @@
-"""Prometheus metrics of a server, read at each scrape from what the server keeps anyway."""
+"""Prometheus metrics of a server, read from its state at each scrape."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from crkr.server.workers import STATES, Workers
 
 __all__ = ["MetricSources", "MetricsCollector"]
 
-# One number for each task: metric, what it means, from a task.
+# One number for each task: metric, meaning, function of a task.
 _OF_A_TASK: Final = {
     "crkr_task_eligible_samples": "Trials that may be learned from.",
     "crkr_task_active_samples": "Trials in the model.",
@@ -35,7 +35,7 @@ _OF_A_TASK: Final = {
     "crkr_task_archived": "1 if the task answers reads only.",
     "crkr_task_faulty": "1 if the task could not be restored, or learns no more until a restart; see the server's log.",
     "crkr_task_success_ratio": "Share of the newest 200 trials that succeeded; NaN without any.",
-    "crkr_task_drift_score": "How far outcomes are from what was predicted: above 12 the outcome model starts anew.",
+    "crkr_task_drift_score": "How far outcomes are from what was predicted: above 12 the outcome model restarts.",
     "crkr_task_drift_restarts": "Restarts of the outcome model, as the robot had changed.",
     "crkr_task_damaged": "1 if a stored row is not what was stored; see the server's log.",
 }
@@ -44,7 +44,7 @@ _OF_A_TASK: Final = {
 @final
 @dataclass(frozen=True, slots=True)
 class MetricSources:
-    """Read only; any thread may.
+    """Read-only; thread-safe.
 
     Attributes:
         sizes: Gives the bytes of the log, and those free for it; None where unknown.
@@ -89,7 +89,7 @@ class MetricsCollector(Collector):
         faults = CounterMetricFamily(
             "crkr_thread_faults", "What threads of the server raised and survived; see its log.", labels=["thread"]
         )
-        # Those that matter most are there from the start, so that a rate sees their first fault.
+        # The main threads are listed from the start, so that a rate sees their first fault.
         for thread, count in {"write": 0, "learning": 0, **FAULTS.counts()}.items():
             faults.add_metric([thread], count)
         yield faults

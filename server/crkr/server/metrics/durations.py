@@ -1,6 +1,6 @@
-"""How long work takes and how requests end: kept for Prometheus, and the latest times for `status`.
+"""Durations and results of requests: histograms for Prometheus, and the latest times for `status`.
 
-An answer costs one append here. What a metric needs besides is worked out when it is read, or once in a thousand times.
+Recording an answer costs one append. The rest is computed when a metric is read, or once in a thousand times.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from crkr.protocol import ADMIN_VERBS, SERVER_VERBS, TASK_VERBS, Array
 
 __all__ = ["BOUNDS_S", "OTHER_VERB", "Durations", "Latencies"]
 
-# Upper bounds of a histogram's buckets, inclusive [s]; one more bucket holds all that took longer.
+# Upper bounds of the histogram's buckets, inclusive [s]; one more bucket has the rest.
 BOUNDS_S: Final = (
     *(5e-5, 1e-4, 1.5e-4, 2e-4, 3e-4, 5e-4),
     *(0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5),
@@ -29,7 +29,7 @@ BOUNDS_S: Final = (
 )
 OTHER_VERB: Final = "other"  # stands for unknown verbs, so that clients cannot make up labels
 _VERBS: Final = frozenset({*SERVER_VERBS, *TASK_VERBS, *ADMIN_VERBS})
-_WINDOW: Final = 1024  # that `recent` looks back
+_WINDOW: Final = 1024  # times that `recent` covers
 _LABELS: Final = [*map(str, BOUNDS_S), "+Inf"]
 
 
@@ -38,8 +38,8 @@ class Durations:
     """Times of one kind of work since the start; any thread may record.
 
     Args:
-        name: The metric's, where it has one of its own.
-        text: What the metric says.
+        name: The metric's name, if it has its own.
+        text: The metric's description.
     """
 
     __slots__ = ("_counted", "_counting", "_name", "_text", "_times", "_total_s")
@@ -74,8 +74,8 @@ class Durations:
         return np.array(self._times.copy())[-_WINDOW:]
 
     def counts(self) -> tuple[list[int], float]:
-        """How many took at most each of `BOUNDS_S`, then how many there are in all; and their sum [s]."""
-        with self._counting:  # so that no time is between the two
+        """Numbers of times up to each of `BOUNDS_S`, then of all; and their sum [s]."""
+        with self._counting:  # so that no time is missed in between
             times = np.array(self._times.copy())
             found = np.cumsum(self._counted + _tally(times))
             return found.tolist(), self._total_s + float(times.sum())
@@ -136,5 +136,5 @@ class Latencies:
 
 
 def _tally(times: Array) -> NDArray[np.int64]:
-    """How many times fall into each bucket."""
+    """Number of times in each bucket."""
     return np.bincount(np.searchsorted(BOUNDS_S, times), minlength=len(_LABELS))

@@ -21,15 +21,15 @@ __all__ = ["MetricsEndpoint"]
 
 logger = logging.getLogger(__name__)
 
-_PATIENCE_S: Final = 5.0  # with a scraper that says nothing
-_MOST: Final = 16  # connections at once; another one takes the place of the oldest
-_PAUSE_S: Final = 0.1  # where none can be taken, as the process has no file left
+_PATIENCE_S: Final = 5.0  # for a silent scraper
+_MOST: Final = 16  # connections at once; a further one replaces the oldest
+_PAUSE_S: Final = 0.1  # pause when the process has no file descriptor left
 _POLL_S: Final = 0.05  # the longest delay of its end
 
 
 @final
 class MetricsEndpoint:
-    """Listens from the beginning, answers with the process's own metrics, and with a server's from `show` on.
+    """Listens from the beginning; serves the process's metrics, and a server's after `show`.
 
     A context manager, which ends it.
 
@@ -123,7 +123,7 @@ class _Http(socketserver.ThreadingTCPServer):
     def handle_error(self, request: Any, client_address: Any) -> None:
         del request
         error = sys.exception()
-        if not isinstance(error, ConnectionError | TimeoutError):  # otherwise the scraper just left
+        if not isinstance(error, ConnectionError | TimeoutError):  # otherwise the scraper has just left
             logger.error("metrics could not be given to %s", client_address, exc_info=error)
 
 

@@ -17,7 +17,7 @@ _Job = TypeVar("_Job", bound=Job)
 
 @final
 class RoundRobin:
-    """Waiting requests, by task in order of arrival. For one thread."""
+    """Waiting requests by task, in order of arrival. Not thread-safe."""
 
     def __init__(self) -> None:
         self._by_task: OrderedDict[str, deque[Request]] = OrderedDict()  # none is empty; the next task comes first
@@ -66,15 +66,15 @@ class _Line(Generic[_Job]):
 
     def __init__(self) -> None:
         self.jobs: list[_Job] = []
-        self.oldest = False  # the oldest job was taken last time, not the one with the least left
+        self.oldest = False  # whether the oldest job was taken last time, rather than the shortest
 
 
 @final
 class FairQueue(Generic[_Job]):
     """Jobs that wait in a lane. Tasks take turns, and the clients within a task. Not thread-safe.
 
-    Of one client's jobs for one task, the oldest and the one with the least left to do are taken alternately, so that a
-    small question does not wait for a huge one that is answered in slices.
+    Of one client's jobs for one task, the oldest and the shortest are taken alternately, so that a small question does
+    not wait for a huge one that is answered in slices.
     """
 
     def __init__(self) -> None:
@@ -87,7 +87,7 @@ class FairQueue(Generic[_Job]):
         return self._count
 
     def wait(self, task: str) -> int:
-        """How many turns a new job of a task would wait."""
+        """Number of turns that a new job of a task would wait."""
         own = sum(len(line.jobs) for line in self._by_task.get(task, {}).values())
         return own * len(self._by_task)
 
@@ -113,7 +113,7 @@ class FairQueue(Generic[_Job]):
         return job
 
     def put_back(self, job: _Job) -> None:
-        """Put the last job taken back in its place among its client's jobs; the others have their turns first."""
+        """Put the last job taken back in its place among its client's jobs; others take their turns first."""
         self._jobs(job).insert(self._place, job)
         self._count += 1
 

@@ -1,10 +1,9 @@
 """The intake receives queries from Zenoh: it answers short predictions, queues the rest, and refuses the excess.
 
-Zenoh's threads only put each query into a channel, which one thread drains here, so that no client can make the server
-deaf to the others. If a client sends more than can be refused, the channel fills up and its connection waits. The
-channel is short, because all clients wait behind what is in it. Predictions that take little work are answered on this
-thread, tasks in turn, as handing them over would cost as much. If a client does not read its answers, another thread
-takes over. All other requests wait in a lane.
+Zenoh's threads only put each query into a channel, which one thread drains, so that no client can block the others. If
+a client sends more than can be refused, the channel fills up and its connection waits. The channel is short, because
+all clients wait behind its content. This thread answers quick predictions itself, tasks in turn, as a hand-over would
+cost as much. If a client does not read its answers, another thread takes over. All other requests wait in a lane.
 """
 
 from __future__ import annotations
@@ -38,7 +37,7 @@ _SMALL: Final = 4096  # bytes; a larger predict goes to a lane
 
 @final
 class _Source:
-    """The queries of one session, and the predictions among them that wait; for one thread at a time."""
+    """The queries of one session, and its waiting predictions; for one thread at a time."""
 
     __slots__ = ("queries", "waiting")
 
@@ -57,8 +56,8 @@ class Intake:
         predict: Answers predict requests on the intake thread and returns those left over: patient ones for their lane,
             the others for the next round. None: this key has no predictions.
         check_task: Raises `UnknownTask` for a task that is not served, so that its requests take no turns, and
-            `ShuttingDown` for one that another server answers for. None: not checked here.
-        ask_again: Given a request for an unknown task, says whether it is looked up and answered elsewhere.
+            `ShuttingDown` for a task of another server. None: not checked here.
+        ask_again: Called with a request for an unknown task; returns whether it will be answered elsewhere.
     """
 
     def __init__(
@@ -74,7 +73,7 @@ class Intake:
     ) -> None:
         self._lanes, self._latencies, self._refuser, self._predict = lanes, latencies, refuser, predict
         self._check_task, self._ask_again = check_task, ask_again
-        self._surplus: deque[Callable[[], None]] = deque()  # these drop queries whose refusals have no room
+        self._surplus: deque[Callable[[], None]] = deque()  # drops queries whose refusals have no room
         self._stopping = False
         self._key = key
         self._source = self._declare(session)
@@ -152,7 +151,7 @@ class Intake:
         return on_duty
 
     def _route(self, query: zenoh.Query, source: _Source) -> None:
-        """Answer or queue a query, whatever it is; never raises."""
+        """Answer or queue any query; never raises."""
         try:
             request = Request(query, self._latencies)
             if self._stopping:
@@ -194,7 +193,7 @@ class Intake:
                 self._refuse(request, refusal)
 
     def _is_served(self, request: Request) -> bool:
-        """Whether the task is served; if not, the request is refused, or let go where another server answers it."""
+        """Whether the task is served; if not, refuses the request, or drops it if another server answers."""
         try:
             if self._check_task is not None:
                 self._check_task(request.task)

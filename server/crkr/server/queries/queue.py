@@ -1,7 +1,7 @@
 """A lane: a bounded queue for each verb, and one thread that answers its requests.
 
-A client that identifies itself may hold only a share of a lane. A request that its client has given up is dropped, and
-a repeated question joins the one already there.
+A client with an id may hold only a share of a lane. Requests that their client has given up are dropped, and a repeated
+question joins the one already waiting.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from crkr.server.thread_faults import keep_running
 __all__ = ["Lane", "busy", "shutting_down"]
 
 _RETRY_MS: Final = 50
-_MOST_BYTES: Final = 64 * 2**20  # that may wait in a lane
-_BATCH_BYTES: Final = 2 * 2**20  # after which a batch is not made longer
+_MOST_BYTES: Final = 64 * 2**20  # requests that may wait in a lane
+_BATCH_BYTES: Final = 2 * 2**20  # after which a batch is not extended
 _FEW: Final = 8  # requests of a task that may always wait
-_FIRST_S: Final = 0.01  # for a step before the first
-_WEIGHT: Final = 0.25  # of the newest, in the mean
-_SHARE: Final = 4  # one client has at most this part of a lane, in requests and in bytes
+_FIRST_S: Final = 0.01  # estimate before the first step
+_WEIGHT: Final = 0.25  # weight of the newest in the mean
+_SHARE: Final = 4  # largest share of one client, in requests and in bytes
 _Job = TypeVar("_Job", bound=Job)
 
 
@@ -70,13 +70,13 @@ class Lane(Generic[_Job]):
     ) -> None:
         self._limits, self._work, self._most, self._rests = dict(limits), work, most, rests
         self._patience_s, self._joins, self._longest_s = patience_s, joins, longest_s
-        self._step_s = _FIRST_S  # about what a step takes, its rest included
+        self._step_s = _FIRST_S  # estimated time of a step, its rest included
         self._queue: deque[_Job] | FairQueue[_Job] = FairQueue() if fair else deque()
         self._waiting: Counter[str] = Counter()
         self._bytes = 0
         # Client -> its requests of each verb, and their bytes.
         self._of_clients: Counter[tuple[bytes, str]] = Counter()
-        self._asked: dict[tuple[Any, ...], Request] = {}  # what may be joined, by its fingerprint
+        self._asked: dict[tuple[Any, ...], Request] = {}  # questions that may be joined, by fingerprint
         self._lock = threading.Lock()
         # Releasing a lock wakes the thread in half the time of a condition.
         self._bell = threading.Lock()
@@ -90,7 +90,7 @@ class Lane(Generic[_Job]):
         self._thread.start()
 
     def offer(self, request: _Job) -> CrkrError | None:
-        """Queue a request, or return the refusal that the caller answers with."""
+        """Queue a request, or return a refusal for the caller to send."""
         question = request if self._joins and isinstance(request, Request) else None
         if question is not None:
             question.identify()
@@ -139,7 +139,7 @@ class Lane(Generic[_Job]):
                     del self._of_clients[request.client, name]
 
     def depths(self) -> dict[str, Any]:
-        """Verb -> how many requests wait, and the limit."""
+        """Verb -> number of waiting requests, and the limit."""
         return {verb: {"waiting": self._waiting[verb], "limit": limit} for verb, limit in self._limits.items()}
 
     def close(self, patience_s: float) -> None:
@@ -184,7 +184,7 @@ class Lane(Generic[_Job]):
         return bool(batch or late)
 
     def _attempt(self, batch: list[_Job]) -> Sequence[_Job]:
-        """Work on a batch; every request is answered, whatever is raised."""
+        """Work on a batch; every request is answered, also after an error."""
         unfinished: Sequence[_Job] = ()
         try:
             unfinished = self._work(batch) or ()

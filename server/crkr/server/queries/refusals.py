@@ -1,10 +1,10 @@
-"""Refusals are sent at a measured pace.
+"""Sends refusals at a limited rate.
 
-A client that is refused asks again, and one that is refused at once asks again at once. With hundreds of questions
-outstanding it would keep the server busy with refusals alone, and delay the predictions of all others.
+A refused client asks again, as quickly as it was refused. With hundreds of open questions it would keep the server busy
+with refusals alone, and delay everyone's predictions.
 
-A waiting refusal holds its whole query, as Zenoh cannot free the payload alone. So their number and bytes are bounded,
-separately for large and small queries. Beyond that the caller drops the query unanswered, and its client tries again.
+A waiting refusal keeps its whole query, as Zenoh cannot free the payload alone. So their number and bytes are bounded,
+separately for large and small queries; beyond, queries are dropped unanswered, and their clients try again.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ __all__ = ["Refuser"]
 
 _PAUSE_S: Final = 0.004  # between batches
 _TOGETHER: Final = 4  # at least
-_PAUSES: Final = 80  # in which all waiting refusals are sent, within a client's first attempt
-_MANY: Final = 4096  # waiting, from which on adding is slowed down, so that queries wait in their connections
+_PAUSES: Final = 80  # time to send all waiting refusals, within a client's first attempt
+_MANY: Final = 4096  # waiting refusals from which on adding blocks a little, so that queries wait in their connections
 _SLOWED_S: Final = 0.0001
 _MOST_WAITING: Final = 16_384
 _LARGE: Final = 16_384  # bytes of a query
-# Bytes that may wait, by whether the query is large: three of the largest messages, or some thousand small ones.
+# Bytes that may wait, for large and small queries: three of the largest messages, or some thousand small ones.
 _MOST_BYTES: Final = {True: 26 * 2**20, False: 16 * 2**20}
 _Tell = Callable[[CrkrError], None]
 
@@ -43,14 +43,14 @@ class Refuser:
         self._waiting: deque[tuple[_Tell, CrkrError]] = deque()
         self._sizes: deque[int] = deque()  # of their queries [bytes]
         self._bytes = {True: 0, False: 0}  # by whether the query is large
-        # That waited at a time since last nobody did. It sets the pace, or the last of many would wait long.
+        # Most refusals waiting since the queue was last empty. It sets the rate, so that the last of many is not late.
         self._most = 0
         self._changed = threading.Condition()
         self._closing = threading.Event()
         self._thread = threading.Thread(target=keep_running, args=(self._step,), name="refusals", daemon=True)
 
     def __len__(self) -> int:
-        """How many refusals wait."""
+        """Number of waiting refusals."""
         return len(self._waiting)
 
     def start(self) -> None:
@@ -58,11 +58,11 @@ class Refuser:
         self._thread.start()
 
     def add(self, tell: _Tell, error: CrkrError, size: int = 0) -> bool:
-        """Call `tell` with this error soon; at once if the thread may have ended.
+        """Call `tell` with this error soon, or at once if the thread may have ended.
 
         Args:
             tell: Answers the query.
-            error: What it is answered with.
+            error: The answer.
             size: Of the query [bytes].
 
         Returns:
@@ -86,7 +86,7 @@ class Refuser:
         return True
 
     def close(self, patience_s: float) -> None:
-        """Send what waits, for `patience_s` at most, and end."""
+        """Send waiting refusals, for `patience_s` at most, and end."""
         self._closing.set()
         with self._changed:
             self._changed.notify()

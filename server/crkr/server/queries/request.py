@@ -34,15 +34,15 @@ __all__ = ["Job", "Request", "held_bytes", "let_go", "refuse"]
 
 logger = logging.getLogger(__name__)
 
-_encoding = cache(lambda verb: zenoh.Encoding(encoding(verb)))  # bounded: keys of unknown verbs are refused before
+_encoding = cache(lambda verb: zenoh.Encoding(encoding(verb)))  # bounded, as keys of unknown verbs are refused before
 _TOO_LONG = f"a message has at most {MAX_MESSAGE_BYTES}: ask for less at once"
 _ERROR_ENCODING = zenoh.Encoding(encoding("error"))
 _LONGEST_KEY: Final = 512  # characters; the longest of the protocol has about 150
-# Bytes. A reply carries the key of its query, and Zenoh panics over a longer one, which a query may have that is put
-# together from a declared prefix and a suffix. Such a query is let go of without a word.
+# Bytes. A reply carries the key of its query, and Zenoh panics over a longer one, which a declared prefix and a suffix
+# can make. Such a query is dropped without an answer.
 _LONGEST_REPLY_KEY: Final = 65_533
-_MOST_BESIDE: Final = 2**16  # bytes of an attachment and parameters, which the protocol hardly uses
-# Bytes of the messages that hold little; all others are bounded by MAX_MESSAGE_BYTES.
+_MOST_BESIDE: Final = 2**16  # bytes of attachment and parameters
+# Bytes of small messages; the others are bounded by MAX_MESSAGE_BYTES.
 _MOST_BYTES: Final[Mapping[str, int]] = {
     **dict.fromkeys(("info", "tasks", "status", "spec", "model", "samples", "explain"), 2**16),
     **dict.fromkeys(("refit", "undo", "rollback", "rename", "archive", "delete"), 2**16),
@@ -52,11 +52,11 @@ _LONGEST_ENCODING: Final = 256  # characters
 _QUERY_BYTES: Final = 1024  # a query's own memory
 _MOST_HASHED: Final = 2**20  # bytes; about a millisecond's work
 _IDS: Final = pack({"trial_ids": None})[1:-1]
-_REPEATS: Final = 2  # of a question that are answered with it, the latest ones
+_REPEATS: Final = 2  # latest repeats of a question that are answered with it
 
 
 class Job(Protocol):
-    """The work of a lane: a request, or something that the server asks of itself."""
+    """The work of a lane: a request, or a job of the server itself."""
 
     held: bool
     answered: bool
@@ -68,7 +68,7 @@ class Job(Protocol):
 
     @property
     def verb(self) -> str:
-        """The verb, which decides the queue."""
+        """The verb, which chooses the queue."""
 
     @property
     def task(self) -> str:
@@ -81,7 +81,7 @@ class Job(Protocol):
         """Answer with an error."""
 
     def fail_unexpectedly(self, error: BaseException) -> None:
-        """Answer with what was raised."""
+        """Answer with the error that was raised."""
 
 
 @final
@@ -92,9 +92,9 @@ class Request:
         scope: "rpc", "task" or "admin".
         task: The task's name, "" for scope "rpc".
         verb: The last part of the key.
-        size: Bytes of the payload and of everything else that the client chose.
-        held: It will be answered later, outside its lane.
-        patient: It takes long and waits in a lane, so that short requests do not wait for it.
+        size: Bytes of everything that the client chose, payload included.
+        held: Whether it will be answered later, outside its lane.
+        patient: Whether it is long and waits in a lane, so that short requests do not wait for it.
         client: Id of the client, b"" if unknown.
         received: Time of arrival [s, `time.perf_counter`].
         deadline: When the client stops waiting [s, `time.perf_counter`], infinite if unknown.
@@ -103,8 +103,8 @@ class Request:
         fingerprint: Equal for repeats of one question; None unless the lane joins repeats.
 
     Raises:
-        Invalid: The key is not one of the protocol, or what comes beside the message is too large. The caller then
-            answers the query.
+        Invalid: The key is not one of the protocol, or attachment or parameters are too large. The caller then answers
+            the query.
     """
 
     __slots__ = (
@@ -184,9 +184,9 @@ class Request:
         return unpack_request(payload)
 
     def identify(self) -> None:
-        """Compute the fingerprint of a question that names its trial ids, so that its repeats may share one answer."""
+        """Compute the fingerprint of a question with trial ids, so that repeats can share its answer."""
         if self.size <= _MOST_HASHED:
-            with suppress(CrkrError):  # of another version, which is refused in its turn
+            with suppress(CrkrError):  # another version, which is refused in its turn
                 payload = self.payload()
                 if _IDS in payload:
                     self.fingerprint = self.verb, self.task, blake2b(payload, digest_size=16).digest()
@@ -210,7 +210,7 @@ class Request:
                 repeat.fail(self._outcome)
 
     def let_go(self) -> None:
-        """Drop the query unanswered, as its client is gone."""
+        """Drop the query unanswered, because its client is gone."""
         if not self.answered:
             self.answered = True
             let_go(self._query)
@@ -248,7 +248,7 @@ class Request:
             refuse(self._query, error)
 
     def fail_unexpectedly(self, error: BaseException) -> None:
-        """Answer with what was raised: a `CrkrError` as it is, anything else as `Internal` and with a traceback."""
+        """Answer with an exception: a `CrkrError` unchanged, others as `Internal`, with a logged traceback."""
         if not isinstance(error, CrkrError):
             if not isinstance(error, Exception):
                 FAULTS.note(error)
@@ -265,7 +265,7 @@ def _packed(error: CrkrError) -> bytes:
 
 
 def held_bytes(query: zenoh.Query) -> int:
-    """Approximate memory of a waiting query: everything that the client chose."""
+    """Approximate memory of a waiting query, i.e. everything that the client chose."""
     parts = (query.payload, query.attachment)
     chosen = sum(len(part) for part in parts if part is not None)
     return _QUERY_BYTES + chosen + len(str(query.key_expr)) + len(str(query.parameters)) + len(str(query.encoding))

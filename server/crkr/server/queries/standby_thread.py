@@ -1,7 +1,7 @@
 """A worker thread that a fresh one replaces while a blocked reply holds it up.
 
-A client that asks and does not read blocks the thread that answers it until Zenoh cuts its connection. The requests in
-hand wait that long; all others go on.
+A client that does not read its answers blocks the answering thread until Zenoh cuts its connection. The requests of
+that turn wait; all others do not.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from crkr.server.thread_faults import keep_running
 
 __all__ = ["StandbyThread"]
 
-_PATIENCE_S: Final = 0.05  # fifty times what work between `begin` and `end` takes
-_MOST: Final = 16  # threads at once; a blocked one ends as soon as it goes on
+_PATIENCE_S: Final = 0.05  # fifty times the usual time between `begin` and `end`
+_MOST: Final = 16  # threads at once; a blocked one ends once it is free
 
 
 @final
 class StandbyThread:
-    """Runs `work(turn)` on a thread, and on another one with the next turn when that is blocked.
+    """Runs `work(turn)` on a thread, and the next turn on another one when that is blocked.
 
     `work` calls `begin` before what may block and `end` after it, and returns once `end` returns False. State shared
     with later turns may be touched only before `begin`, and after an `end` that returned True.
@@ -31,13 +31,13 @@ class StandbyThread:
         self._work, self._name = work, name
         self._lock = threading.Lock()
         self._turn = 0
-        self._since: float | None = None  # when the present thread began what may block
+        self._since: float | None = None  # when the current thread began what may block
         self._running: list[threading.Thread] = []
         self._ended = threading.Event()
         self._watch = threading.Thread(target=keep_running, args=(self._look,), name=f"{name} standby", daemon=True)
 
     def start(self) -> None:
-        """Start the first turn, or the next where the one before has nothing to take any more."""
+        """Start the first turn, or the next one after a turn has ended."""
         with self._lock:
             self._begin_turn()
 
@@ -50,14 +50,14 @@ class StandbyThread:
                 self._since = time.monotonic()
 
     def end(self, turn: int) -> bool:
-        """The thread is not blocked any more; False if another has replaced it."""
+        """The thread is no longer blocked; False if another has replaced it."""
         with self._lock:
             if turn == self._turn:
                 self._since = None
             return turn == self._turn
 
     def join(self, patience_s: float) -> None:
-        """Wait for the present thread to end; none replaces it from now on."""
+        """Wait for the current thread to end; it is not replaced any more."""
         self._ended.set()
         with self._lock:
             running = self._running[-1:]
@@ -67,7 +67,7 @@ class StandbyThread:
     def _begin_turn(self) -> None:
         turn = self._turn + 1
         thread = threading.Thread(target=self._work, args=(turn,), name=self._name, daemon=True)
-        thread.start()  # `end` waits for this lock; where the system gives no thread, the old turn goes on
+        thread.start()  # `end` waits for this lock; if no thread can start, the old turn continues
         self._turn, self._since = turn, None
         self._running.append(thread)
 

@@ -1,1 +1,1 @@
-"""What each verb of the protocol does."""
+"""The verbs of the protocol."""

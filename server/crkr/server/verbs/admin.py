@@ -30,7 +30,7 @@ from crkr.server.log import DELETED, Event, values_of
 __all__ = ["Answer", "Change", "amendment", "moved", "read_change", "refuse_unknown", "removal"]
 
 Answer: TypeAlias = Callable[[ServedTask, Any], dict[str, Any]]
-"""Makes the fields of a reply from the task and the learner's result."""
+"""Fields of a reply, from the task and the learner's result."""
 
 _KERNEL: Final = tuple(KernelSettings.__dataclass_fields__)
 
@@ -44,8 +44,8 @@ class Change:
         kind: Kind of the event.
         body: Body of the event.
         answer: Makes the fields of the reply.
-        ids: Trials named, which must exist.
-        complete: Makes the body from the named trials as they are now; None: nothing changes, and no event is stored.
+        ids: Trials that must exist.
+        complete: Makes the body from the current values of the named trials; None: no change, and no event is stored.
     """
 
     kind: str
@@ -56,7 +56,7 @@ class Change:
 
 
 def read_change(verb: str, message: Mapping[str, Any], task: ServedTask) -> Change:
-    """The change that a request asks for; raises `Invalid`, or `Unsupported` for an unknown verb."""
+    """Reads the change of a request; raises `Invalid`, or `Unsupported` for an unknown verb."""
     read = _READERS.get(verb)
     if read is None:
         raise Unsupported(f"admin verb {verb!r} is not offered; these are: {', '.join(sorted(_READERS))}")
@@ -81,7 +81,7 @@ def _remove(message: Mapping[str, Any], _task: ServedTask) -> Change:
 
 
 def removal(ids: Sequence[UUID], body: Mapping[str, Any], answer: Answer) -> Change:
-    """The removal of trials, which notes those that were removed before."""
+    """The removal of trials; the event names those that were removed before."""
 
     def complete(present: Sequence[Mapping[str, Any]]) -> Mapping[str, Any]:
         return {"ids": list(ids), **body, "was": [trial.get("removed", False) for trial in present]}
@@ -95,12 +95,12 @@ def amendment(
     body: Mapping[str, Any],
     answer: Answer,
 ) -> Change:
-    """Other values for trials.
+    """New values for trials.
 
     Args:
         ids: The trials.
-        now: A trial as it is, and its place among them -> its values from now on.
-        body: What the event says besides.
+        now: Function of a trial and its position, which returns the new values.
+        body: Further fields of the event.
         answer: Makes the fields of the reply.
     """
 
@@ -138,7 +138,7 @@ def _configure(message: Mapping[str, Any], task: ServedTask) -> Change:
         raise Invalid(f"unknown fields in kernel: {named}; known are {', '.join(_KERNEL)}")
     changed_spec = task.agreed.with_changes(changes)
     refuse_absurd(changed_spec, task.agreed)
-    if "budget" in changes:  # a larger one from an earlier version stays valid until it is changed
+    if "budget" in changes:  # a larger one of an earlier version stays until it is changed
         check_model_fits(changed_spec)
     understood = changed_spec.to_dict()
     stored = {name: _understood(value, understood[name]) for name, value in changes.items()}
@@ -150,7 +150,7 @@ def _configure(message: Mapping[str, Any], task: ServedTask) -> Change:
 
 
 def _understood(given: Any, read: Any) -> Any:
-    """A setting as it was read; of a group, the given fields. Unknown fields are not stored."""
+    """A setting as it was read; for a group, its given fields. Unknown fields are not stored."""
     return {name: value for name, value in read.items() if name in given} if isinstance(read, Mapping) else read
 
 

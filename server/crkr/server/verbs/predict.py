@@ -1,8 +1,8 @@
-"""Answers `predict` from the present model. Waiting questions are answered together; none waits for a batch to fill.
+"""Answers `predict` from the current model. Waiting questions are answered together; none waits for a batch to fill.
 
-The time of a prediction is known beforehand from the number of states b and of active samples m: the m^2 numbers of the
-factor are read once, and each state costs another m^2 operations. Outcome-guided goals also compare each state with
-the observed trials. Long questions are answered in slices, between which others have their turns.
+The time of a prediction follows from the numbers of states b and of active samples m: the m^2 numbers of the factor are
+read once, and each state costs m^2 operations. Outcome-guided goals also compare each state with observed trials. Long
+questions are answered in slices, with other requests in between.
 """
 
 from __future__ import annotations
@@ -46,8 +46,8 @@ _FIT_US: Final = 1.7e-4  # each such group, for each of n^3 with n neighbours
 _CANDIDATE_US: Final = 0.05  # each such group, for each neighbour of each candidate beyond the usual ones
 _USUAL_CANDIDATES: Final = 32
 _FILL_US: Final = 0.3  # any number of states while goals fill space, for each of p^2
-_LEAST: Final = 8  # states at a time; with fewer, most of the work would be reading the factor
-_LONG_US: Final = 10_000.0  # of work at a time, even with fewer states
+_LEAST: Final = 8  # states per slice; with fewer, reading the factor dominates
+_LONG_US: Final = 10_000.0  # of work per slice, even with fewer states
 _LONGEST: Final = 128  # name of a worker
 
 
@@ -59,9 +59,9 @@ class Predictor:
         self._tasks, self._workers = tasks, workers
 
     def answer(self, requests: list[Request]) -> list[Request]:
-        """Answer requests with a prediction or an error, for a millisecond or so.
+        """Answer requests with a prediction or an error, for about a millisecond.
 
-        A request that alone needs longer is made patient and left over, as are those behind that much work.
+        A request that takes longer is marked patient and left over, as are requests behind that much work.
 
         Returns:
             Requests left over, in order.
@@ -126,7 +126,7 @@ class Predictor:
         return unfinished
 
     def _answer_together(self, task: ServedTask, explore: bool, questions: list[tuple[Request, Question]]) -> None:
-        """Answer all by one call of the model; if it refuses one of them, each is answered alone."""
+        """Answer all by one call of the model; if it refuses one of them, answer each alone."""
         started = time.perf_counter_ns()
         states = np.frombuffer(b"".join([question.state for _, question in questions]), "<f8")
         asked = states.reshape(len(questions), task.dimensions) if len(questions) > 1 else states
@@ -165,7 +165,7 @@ class Predictor:
 class _Batch:
     """A question about many states, answered a few at a time by the model of its beginning.
 
-    The slices are short because no other Python thread runs while the factor is solved for one.
+    Slices are short because solving with the factor blocks other Python threads.
     """
 
     __slots__ = ("_done", "_model", "_novel", "_parts", "_states", "_step", "compute_us", "ids", "question")
@@ -178,11 +178,11 @@ class _Batch:
         cost = _Cost.of(task, self._model)
         self._step = max(cost.least, int((_AT_ONCE_US - cost.once_us) / cost.state_us))
         self._parts: list[Prediction] = []
-        self._novel: NovelState | None = None  # the most novel so far of states that the task refuses
+        self._novel: NovelState | None = None  # the most novel refused state so far
 
     @classmethod
     def begin(cls, request: Request, task: ServedTask) -> Self:
-        """Read a request; raises `Invalid`, also if its answer would not fit into a message."""
+        """Read a request; raises `Invalid`, also for one whose answer would not fit into a message."""
         question = PredictRequest.from_wire(request.message(), task.dimensions)
         _refuse_long_answer(task, question.count)
         return cls(question, task)
@@ -267,7 +267,7 @@ def _refuse_long_answer(task: ServedTask, count: int) -> None:
 
 
 def _states(message: Mapping[str, Any]) -> int:
-    """How many states a request seems to ask about; it is checked when it is answered."""
+    """Number of states that a request seems to have, before the full check."""
     states = message.get("states")
     if type(states) is dict:
         shape = states.get("shape")

@@ -39,7 +39,7 @@ from crkr.server.workers import Workers
 __all__ = ["Reader", "task_entry"]
 
 _MOST: Final = 10_000  # samples or tasks in a page
-_MOST_ASKED: Final = 64  # waiting steps of a task, beyond which no sample is explained
+_MOST_ASKED: Final = 64  # waiting steps of a task beyond which `explain` is refused
 _MOST_WORKERS: Final = 256  # in a status
 _LONGEST: Final = 4096  # characters of a fault
 _REST_BYTES: Final = 4096  # of a list of tasks, without its entries
@@ -73,7 +73,7 @@ class Reader:
         self._workers, self._latencies, self._queues = workers, latencies, queues
         self._servers, self._described = servers, described
         self._started, self._started_monotonic = time.time(), time.monotonic()
-        self._version = version("crkr")  # of the running code, which an upgrade on disk does not change
+        self._version = version("crkr")  # version of the running code, which an upgrade does not change
         self._verbs: Mapping[str, Callable[[Request], None]] = {
             "info": self._info,
             "tasks": self._list_tasks,
@@ -85,7 +85,7 @@ class Reader:
         }
 
     def work(self, requests: list[Request]) -> None:
-        """Answer every one of them."""
+        """Answer all requests."""
         for request in requests:
             try:
                 self._verbs[request.verb](request)
@@ -133,14 +133,14 @@ class Reader:
         request.reply_packed(pack_around({"next": following}, "tasks", page))
 
     def _entries(self, names: Sequence[str], most_bytes: int) -> tuple[list[bytes], bool]:
-        """Encoded entries of the tasks that fit, at least one, and whether they are all."""
+        """Encoded entries of the tasks that fit, at least one, and whether all did."""
         elsewhere = [name for name in names if self._tasks.is_elsewhere(name)]
         described = self._described(elsewhere) if elsewhere else {}
         entries: list[bytes] = []
         size = 0
         for name in names:
             entry = described.get(name)
-            if entry is None:  # served here, or its server has not said anything yet
+            if entry is None:  # served here, or not described by its server yet
                 entry = task_entry(self._tasks.look(name))
             size += len(entry)
             if entries and size > most_bytes:
@@ -259,11 +259,11 @@ class Reader:
         if self._learning.waiting(task)[1] >= _MOST_ASKED:
             raise busy(request.verb)
         request.held = True
-        self._learning.submit(task, (), answer)  # only the learner knows where one sample stands
+        self._learning.submit(task, (), answer)  # only the learner knows a sample's status
 
 
 def _span(message: Mapping[str, Any], low: int = 1) -> tuple[int, int]:
-    """The page of tasks asked for: how many to skip, in order of creation, and how many to list."""
+    """The requested page of tasks: how many to skip, in order of creation, and how many to list."""
     return integer(message.get("after", 0), "after"), integer(message.get("limit", 1000), "limit", low=low, high=_MOST)
 
 
@@ -281,7 +281,7 @@ def task_entry(task: ServedTask) -> bytes:
 
 
 def _most_present(workers: list[dict[str, Any]]) -> tuple[list[dict[str, Any]], int]:
-    """As many workers as are listed, the living and those seen last before others, and how many are not."""
+    """The workers to list, living and recently seen ones first, and the number of the others."""
     if len(workers) <= _MOST_WORKERS:
         return workers, 0
     ranked = sorted(workers, key=lambda worker: (worker["state"] != "alive", worker["last_seen_s"]))

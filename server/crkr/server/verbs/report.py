@@ -42,12 +42,12 @@ __all__ = ["MOST_REPORTS", "Writer", "refuse_archived"]
 logger = logging.getLogger(__name__)
 
 MOST_REPORTS: Final = 256  # in one commit
-_BY_LOG: Final = {"undo": read_undo, "rollback": read_rollback}  # verbs that look up what was before
-_WHERE: Final = frozenset({"rename", "delete"})  # changes of where a task is, not of what it learned
-_KNOWN_BEFORE: Final = _WHERE | {"archive", "fit"}  # the learner alone knows the effect of other changes
+_BY_LOG: Final = {"undo": read_undo, "rollback": read_rollback}  # verbs that look up former values
+_WHERE: Final = frozenset({"rename", "delete"})  # changes of a task's place, not of its learning
+_KNOWN_BEFORE: Final = _WHERE | {"archive", "fit"}  # only the learner knows the effect of other changes
 _MOST_BACKLOG: Final = 20_000  # committed trials of a task that wait to be learned
-_MOST_BACKLOG_OF_ALL: Final = 100_000  # of all tasks, so that a slow one leaves room for the others
-_MOST_ASKED: Final = 1024  # waiting steps of a task; a commit of reports may exceed it
+_MOST_BACKLOG_OF_ALL: Final = 100_000  # of all tasks, so that a slow task leaves room for others
+_MOST_ASKED: Final = 1024  # waiting steps of a task; a commit may exceed it
 _MOST_ASKED_OF_ALL: Final = 4096
 _MOST_HELD_BYTES: Final = 64 * 2**20  # of the requests that wait
 
@@ -61,7 +61,7 @@ class Writer:
         self._log, self._tasks, self._workers, self._learning = log, tasks, workers, learning
         self._held_bytes, self._holding = 0, threading.Lock()
         self._waits = Waits()
-        self._order = threading.Lock()  # held from a commit until its entries are queued for learning
+        self._order = threading.Lock()  # from a commit until its entries are queued for learning
 
     def work(self, requests: list[Request]) -> None:
         """Answer each request, or let learning answer it."""
@@ -100,7 +100,7 @@ class Writer:
             with self.commits.timing():
                 results = self._log.append_reports(pending)
         except CrkrError as error:  # STORAGE, or SHUTTING_DOWN where the database is away for now
-            level = logging.ERROR if isinstance(error, StorageError) else logging.DEBUG  # the lease tells of an outage
+            level = logging.ERROR if isinstance(error, StorageError) else logging.DEBUG  # the lease reports an outage
             logger.log(level, "reports were not stored: %s", error.message)
             for request, _, _ in decoded:
                 request.fail(error)
@@ -126,7 +126,7 @@ class Writer:
             raise busy(request.verb)
 
     def _hold(self, request: Job, sign: int = 1) -> None:
-        """Count the memory of a request that learning will answer, or with sign -1 no longer."""
+        """Add the memory of a request that learning will answer; sign -1 subtracts it."""
         with self._holding:
             self._held_bytes += sign * request.size
 
@@ -182,7 +182,7 @@ class Writer:
     def _make(self, spec: TaskSpec) -> None:
         check_model_fits(spec)
         refuse_absurd(spec)
-        task = ServedTask(spec)  # raises for settings that the learner lacks, before anything is stored
+        task = ServedTask(spec)  # raises for unsupported settings, before anything is stored
         with self._order:
             self._recover()
             with self.commits.timing():
@@ -199,14 +199,14 @@ class Writer:
         return replace(TaskSpec.from_dict(creation.body["spec"]), name=name)
 
     def hand_over(self, name: str, ready: Callable[[ServedTask], None]) -> None:
-        """Take a task out of service for another server, and call `ready` once all that it was told is learned."""
+        """Take a task out of service for another server; calls `ready` once all stored entries are learned."""
         with self._order:
             task = self._tasks.look(name)
             self._tasks.leave(name)
             self._learning.submit(task, (), lambda _, failure: None if failure else ready(task))
 
     def _recover(self) -> None:
-        """Serve what was stored although its commit seemed to fail. The caller holds the order."""
+        """Serve entries whose commit seemed to fail. The caller holds the order."""
         for name, entries in self._log.recover():
             task = self._tasks.look(name)
             for batch in batches(entries, MOST_REPORTS):
@@ -229,7 +229,7 @@ class Writer:
         self.commit(task, change, request)
 
     def commit(self, task: ServedTask, change: Change, request: Job, configured: int | None = None) -> None:
-        """Commit a change, and answer the request once the model includes it; any thread may.
+        """Commit a change, and answer the request once the model includes it; thread-safe.
 
         Raises:
             Conflict: The task was configured after log position `configured`, on which the change is based.
@@ -240,11 +240,11 @@ class Writer:
                 raise UnknownTask(f"task {task.name!r} was deleted meanwhile", details={"task": task.name})
             self._tasks.look(task.name)  # raises if another server serves it by now
             if configured is not None and task.configured != configured:
-                raise Conflict(f"task {task.name!r} was configured anew meanwhile; ask again")
+                raise Conflict(f"task {task.name!r} was configured again meanwhile; ask again")
             self._commit_change(task, change, request)
 
     def restart(self, task: ServedTask) -> None:
-        """Commits that the robot has changed: the outcome model restarts from the newest trials. For learning."""
+        """Commits a restart of the outcome model, after a change of the robot. Called by learning."""
         with self._order:
             if task.archived or task.deleted or task.name not in self._tasks:
                 return
@@ -257,7 +257,7 @@ class Writer:
                 task.restarting = False
                 return
             task.note(event)
-            logger.warning("task %s: the robot has changed; outcomes are learned anew from %d", task.name, event.seq)
+            logger.warning("task %s: the robot has changed; the outcome model restarts at %d", task.name, event.seq)
             self._learning.submit(task, event, None)
 
     def _commit_change(self, task: ServedTask, change: Change, request: Job) -> None:
@@ -291,7 +291,7 @@ class Writer:
         self._await(task, event, event.seq, change, request)
 
     def _refuse_in_use(self, task: ServedTask, change: Change) -> None:
-        """Raise `Conflict` for a task that workers train, or whose new name is taken."""
+        """Raise `Conflict` for a task with workers, or whose new name is taken."""
         alive = [worker["id"] for worker in self._workers.status(task.name) if worker["state"] == "alive"]
         if alive:
             raise Conflict(

@@ -1,4 +1,4 @@
-"""The verb rollback: a task goes back to the policy of an earlier version, by an event of its own."""
+"""The verb rollback: an event that takes a task back to an earlier version of the policy."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def read_rollback(message: Mapping[str, Any], task: ServedTask, log: LogReader) 
     version brings them back.
 
     Raises:
-        Invalid: There is no such version, or corrections since then do not say what was before.
+        Invalid: There is no such version, or later corrections lack the former values.
     """
     to = integer(required(message, "to"), "to", low=1)
     if to > task.seq:
@@ -54,7 +54,7 @@ def _spec(events: list[Event], visible: Visible) -> TaskSpec:
 def _values(
     events: list[Event], visible: Visible, to: int, task: ServedTask, log: LogReader
 ) -> dict[UUID, dict[str, Any]]:
-    """Of each trial up to a version that a correction was ever made of, its values at that version."""
+    """Values at a version of each earlier trial that was ever corrected."""
     first: dict[bytes, dict[str, Any]] = {}
     then: dict[bytes, dict[str, Any]] = {}
     for event in events:

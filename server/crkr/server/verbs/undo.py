@@ -1,4 +1,4 @@
-"""The verb undo: the newest correction or trial of a task is taken back, by an event of its own."""
+"""The verb undo: an event that takes back the newest correction or trial of a task."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from crkr.server.verbs.admin import Answer, Change, amendment, removal
 
 __all__ = ["read_undo"]
 
-_LOOKED_BACK: Final = 1000  # trials; a person takes back what was just done
+_LOOKED_BACK: Final = 1000  # newest trials to search; a person undoes recent ones
 _PAGE_BYTES: Final = 2**24
 
 
 def read_undo(message: Mapping[str, Any], task: ServedTask, log: LogReader) -> Change:
     """The change that takes back the newest correction, or the newest trial reported by hand, whichever came later.
 
-    A request that was carried out before changes nothing and is answered alike. So undoing again goes one step further
-    back; what an undo did is not undone itself.
+    A repeated request changes nothing and gets the same answer. A further undo goes one step further back; an undo
+    itself cannot be undone.
 
     Raises:
         Invalid: There is nothing to undo.
@@ -60,7 +60,7 @@ def _newest_trial(task: ServedTask, log: LogReader, worker: str | None) -> dict[
 
 
 def _repeated(seq: int, task: ServedTask, log: LogReader) -> Change:
-    """No change, and the answer that was given to the same request."""
+    """No change, and the answer to the earlier request."""
     event = log.event(task.name, seq)
     if event is None:
         raise Internal(f"the log of task {task.name!r} has no event at position {seq}")

@@ -1,8 +1,7 @@
-"""Connections to PostgreSQL, and what errors mean.
+"""Connections to PostgreSQL, and the meaning of its errors.
 
-Connections commit each statement by itself: a transaction that is left open by a server that stalls would hold up the
-one that takes over. A server that is gone, a link that is cut, and a process of PostgreSQL's that stands still are
-noticed within a few seconds.
+Every statement commits by itself: an open transaction of a stalled server would block the server that takes over. A
+lost server, a cut link and a stalled PostgreSQL process are noticed within a few seconds.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ __all__ = [
     "read_errors",
 ]
 
-RETRY_MS: Final = 250  # after which a request may be repeated while the database is away
+RETRY_MS: Final = 250  # pause before a request is repeated while the database is away
 _DEFAULTS: Final = {
     "application_name": "crkr",
     "connect_timeout": "2",  # seconds, the least that libpq takes
@@ -36,7 +35,7 @@ _DEFAULTS: Final = {
     "keepalives_count": "3",
     "tcp_user_timeout": "4000",  # milliseconds without an acknowledgement of what was sent
 }
-# A session that is left in the middle of something must not hold a lock for long. Bytes are compared, texts as well.
+# An abandoned session must not hold a lock for long. Texts are compared as bytes.
 _SETTINGS: Final = "SET search_path = crkr; SET idle_in_transaction_session_timeout = '10s'; SET synchronous_commit = "
 _DEADLINES: Final = "SET lock_timeout = '5s'; SET statement_timeout = '30s'"  # a commit is never cut short by them
 _NO_DEADLINE: Final = "SET statement_timeout = 0"
@@ -54,11 +53,11 @@ _ADVICE: Final[tuple[tuple[type[psycopg.Error], str], ...]] = (
 
 @final
 class Connection(psycopg.Connection[Any]):
-    """One whose statements raise `psycopg.OperationalError` where no answer comes in time; it must be closed then.
+    """A connection whose statements raise `psycopg.OperationalError` without a timely answer; close it then.
 
     Attributes:
-        patience_s: The longest wait for an answer [s]; None: any. TCP alone does not notice a process that stands
-            still, as its machine acknowledges what is sent to it.
+        patience_s: The longest wait for an answer [s]; None: no limit. TCP does not notice a stalled process, because
+            its machine still acknowledges data.
     """
 
     patience_s: float | None = None
@@ -73,16 +72,16 @@ def connect(url: str, patience_s: float | None = None) -> Connection:
 
     Args:
         url: The database.
-        patience_s: As the connection's. Where there is one, a statement waits 5 s for a lock and runs 30 s at most.
+        patience_s: As for `PatientConnection`. With a limit, a statement waits 5 s for a lock and runs 30 s at most.
     """
     given: dict[str, Any] = dict(conninfo_to_dict(url))
     defaults = dict(_DEFAULTS)
-    if "," in str(given.get("host", "")):  # several: the primary among them
+    if "," in str(given.get("host", "")):  # with several hosts: the primary
         defaults["target_session_attrs"] = "read-write"
     connection = Connection.connect(make_conninfo(**{**defaults, **given}), autocommit=True)
     connection.patience_s = patience_s
     try:
-        # A commit is on the disk, and on a synchronous standby where there is one, before it is acknowledged.
+        # A commit is acknowledged once it is on the disk, and on a synchronous standby if there is one.
         row = connection.execute("SHOW synchronous_commit").fetchone()
         kept = row[0] if row and row[0] in ("remote_apply", "on") else "on"
         connection.execute(f"{_SETTINGS}{kept}; {_NO_DEADLINE if patience_s is None else _DEADLINES}")
@@ -93,7 +92,7 @@ def connect(url: str, patience_s: float | None = None) -> Connection:
 
 
 def is_away(error: psycopg.Error, connection: psycopg.Connection[Any] | None) -> bool:
-    """Whether an error says that the database is away for now, rather than that it refuses something."""
+    """Whether an error means that the database is away for now, not that it refuses something."""
     away = (
         errors.AdminShutdown,
         errors.CrashShutdown,
@@ -112,15 +111,15 @@ def is_away(error: psycopg.Error, connection: psycopg.Connection[Any] | None) ->
 
 
 def _is_refusal(message: str) -> bool:
-    """Whether a connection failed over what another attempt cannot change; libpq gives no code then."""
+    """Whether another attempt to connect is useless; libpq gives no code for that."""
     return any(text in message for text in ("authentication failed", "does not exist", "no pg_hba.conf entry"))
 
 
 @contextmanager
 def database_errors(doing: str, connection: psycopg.Connection[Any] | None = None) -> Iterator[None]:
-    """Turn the database's errors into `StorageError`, or `ShuttingDown` where it is away and a repeat may help.
+    """Turn database errors into `StorageError`, or `ShuttingDown` if it is away and a repeat may help.
 
-    An id that is stored already stays `UniqueViolation`.
+    `UniqueViolation` passes, for an id that is stored already.
     """
     try:
         yield
@@ -138,7 +137,7 @@ def database_errors(doing: str, connection: psycopg.Connection[Any] | None = Non
 
 @contextmanager
 def read_errors(doing: str) -> Iterator[None]:
-    """The same for reading, where being away is an error too, and a column of the wrong type is damage."""
+    """The same for reading, where an absent database is an error, and a column of the wrong type is damage."""
     try:
         with database_errors(doing):
             yield

@@ -53,11 +53,11 @@ class PostgresDatabase:
 
     @property
     def acknowledged(self) -> int:
-        """Log positions of all tasks that were acknowledged; read before the entries, which only grow."""
+        """Acknowledged log positions of all tasks; read before the entries, which only grow."""
         return int(self.rows(_ACKNOWLEDGED)[0][0])
 
     def rows(self, statement: str, *values: object) -> list[tuple[Any, ...]]:
-        """As `Database.rows`; repeated once where the connection was lost meanwhile, as after a restart."""
+        """As `Database.rows`; repeated once if the connection was lost, as after a restart."""
         connection = self._connection()
         try:
             return self._ask(connection, statement, values)
@@ -77,7 +77,7 @@ class PostgresDatabase:
         doing = f"read the task log {self.where}"
         with read_errors(doing):
             connection = self._connection()
-            connection.execute("SET idle_in_transaction_session_timeout = 0")  # reading holds nothing up
+            connection.execute("SET idle_in_transaction_session_timeout = 0")  # reading blocks nobody
             connection.execute("BEGIN ISOLATION LEVEL REPEATABLE READ READ ONLY")
         self._threads.within = True
         try:
@@ -124,7 +124,7 @@ class PostgresDatabase:
 
 
 @cache
-def _translated(statement: str) -> Any:  # psycopg asks for a literal, against injection; there are constants only
+def _translated(statement: str) -> Any:  # psycopg wants literals, against injection; all statements are constants
     return statement.replace("?", "%s")
 
 

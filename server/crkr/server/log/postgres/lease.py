@@ -1,11 +1,11 @@
 """Which servers share a log, and which of them owns each task.
 
-Each server has a row, whose `beat` it raises. Where a server leaves in order, or another finds it dead, the row is
-deleted, and its tasks are free. A server is dead when its connection to the database is gone, as after a kill, or when
-it raised no beat for `LEASE_S` while the other watched. No clock is compared with another one's.
+Each server has a row and raises its `beat`. When a server leaves, or another finds it dead, the row is deleted and its
+tasks are free. A server is dead when its connection to the database is gone, as after a kill, or when its beat did not
+change for `LEASE_S` while the other watched. Clocks are never compared.
 
-Each take of a task raises the epoch in the task's row, and each write names the epoch that its server took. So a server
-that was replaced cannot write any more, whatever it believes.
+Each take of a task raises the epoch in the task's row, and each write names the epoch that its server took, so a
+replaced server cannot write.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ logger = logging.getLogger(__name__)
 LEASE_S: Final = 3.0
 _BEAT_S: Final = LEASE_S / 6
 _LOOK_S: Final = 0.1  # between looks at the other servers
-_PATIENCE_S: Final = 2.0  # with the database's answer; an owner that gets none must notice before its lease is over
+_PATIENCE_S: Final = 2.0  # for an answer of the database; an owner must notice its absence before its lease ends
 _KNOCK_S: Final = 0.3  # for the connection to another server
 _STARTED: Final = "(SELECT backend_start FROM pg_stat_activity WHERE pid = pg_backend_pid())"
 _ENTER: Final = f"""INSERT INTO server (id, address, backend, backend_start)
@@ -72,11 +72,11 @@ class Member:
 
     Attributes:
         id: Of the server and of its Zenoh session.
-        number: The order in which servers came.
-        address: Where it listens once it serves.
-        serves: It may own tasks; otherwise it stands by.
-        beat: Changes as long as it lives.
-        connected: Its connection to the database stands.
+        number: Order of arrival.
+        address: Its address, once it serves.
+        serves: Whether it may own tasks; otherwise it stands by.
+        beat: Changes while it lives.
+        connected: Whether it is connected to the database.
     """
 
     id: UUID
@@ -107,8 +107,8 @@ class Roster:
     Attributes:
         log_id: Identifies the log.
         epoch: Changes with the servers, the tasks' owners and the tasks' names.
-        positions: Log positions of all tasks together, purged ones included.
-        members: The living ones, those that came first before others.
+        positions: Sum of the log positions of all tasks, purged ones included.
+        members: The living servers in order of arrival.
     """
 
     log_id: UUID
@@ -118,7 +118,7 @@ class Roster:
 
     @property
     def serving(self) -> list[Member]:
-        """Those that may own tasks."""
+        """The servers that may own tasks."""
         return [member for member in self.members if member.serves]
 
 
@@ -132,12 +132,12 @@ class Lease:
 
     Attributes:
         me: The server's id.
-        roster: As it was seen last on the thread of `keep`; None before, and while the database is away.
-        positions: The most log positions that a look found.
+        roster: The last one seen on the thread of `keep`; None before, and while the database is away.
+        positions: The largest number of log positions seen.
 
     Raises:
         StorageError: The tables are of another version, or the database refuses.
-        ShuttingDown: The database is away, or other servers took this one for dead.
+        ShuttingDown: The database is away, or other servers declared this one dead.
     """
 
     def __init__(self, url: str, port: int | None = None) -> None:
@@ -149,7 +149,7 @@ class Lease:
         self._using = threading.RLock()
         self._reconnected: float | None = None  # [s, monotonic]
         self._beaten = 0.0
-        self._watched: dict[UUID, tuple[int, float]] = {}  # a server's beat, and since when it is that
+        self._watched: dict[UUID, tuple[int, float]] = {}  # each server's beat, and the time of its last change
         self._away, self._standing_by = False, list[str]()
         self._stopped = threading.Event()
         self._thread: threading.Thread | None = None
@@ -167,7 +167,7 @@ class Lease:
             raise
 
     def look(self) -> Roster:
-        """Read who is there, give a sign of life where one is due, and remove the dead; raises as the class does."""
+        """Read the roster, beat if it is due, and remove dead servers; raises as the class does."""
         with self._using, database_errors("read who owns the task log", self._connection):
             back = self._connection is None or self._connection.closed
             connection = self._connected()
@@ -197,7 +197,7 @@ class Lease:
         if beat != member.beat:
             since = now
             self._watched[member.id] = member.beat, since
-        # After a restart of the database nobody is connected yet: a server that lives comes back within its lease.
+        # After a restart of the database nobody is connected yet; a living server reconnects within its lease.
         if not member.connected and (self._reconnected is None or now - self._reconnected > LEASE_S):
             return True
         return now - since > LEASE_S
@@ -211,23 +211,23 @@ class Lease:
         return [TaskRow(*row) for row in self._run("read who owns the tasks", _TASKS)]
 
     def take(self, rows: Iterable[TaskRow]) -> list[TaskRow]:
-        """Own these tasks, but not those that changed hands since they were read; returns the rows of those taken."""
+        """Take these tasks, except those that changed hands since they were read; returns the rows taken."""
         seen = [(row.key, row.epoch) for row in rows]
         keys, epochs = [key for key, _ in seen], [epoch for _, epoch in seen]
         return [TaskRow(*row) for row in self._run("take tasks", _TAKE, keys, epochs, self.me)]
 
     def give(self, key: int, epoch: int) -> None:
-        """Let another server have a task."""
+        """Hand a task over."""
         self._run("hand a task over", _GIVE, key, epoch)
 
     @contextmanager
     def beating(self) -> Iterator[None]:
-        """Give signs of life on a thread of its own until the end of the block, which may take long."""
+        """Beat on a separate thread until the end of the block, which may take long."""
         done = threading.Event()
 
         def beat() -> None:
             while not done.wait(_BEAT_S):
-                with suppress(CrkrError):  # the next look tells of it
+                with suppress(CrkrError):  # the next look reports it
                     self.look()
 
         thread = threading.Thread(target=beat, name="lease", daemon=True)
@@ -239,13 +239,13 @@ class Lease:
             thread.join()
 
     def keep(self, lost: Callable[[str], None], seen: Callable[[], None] = lambda: None) -> None:
-        """Look on a thread of its own, tell of each look, and tell once why this server may not serve any more."""
+        """Look from a separate thread; call `seen` after each look, and `lost` once with the reason to stop serving."""
         step = partial(self._step, lost, seen)
         self._thread = threading.Thread(target=keep_running, args=(step,), name="lease", daemon=True)
         self._thread.start()
 
     def give_up(self) -> None:
-        """Let other servers have the tasks at once; idempotent."""
+        """Release the tasks at once; idempotent."""
         self._stopped.set()
         if self._thread is not None:
             self._thread.join(_BEAT_S)
@@ -281,7 +281,7 @@ class Lease:
         return True
 
     def _successor(self) -> str | None:
-        """The address of a server that stood by and listens now, which it does only once it owns tasks."""
+        """The address of a former standby server that listens now, and so owns tasks."""
         for address in self._standing_by:
             host, _, port = address.rpartition(":")
             with suppress(OSError), socket.create_connection((host, int(port)), _KNOCK_S):

@@ -24,15 +24,15 @@ __all__ = ["PostgresLog"]
 
 logger = logging.getLogger(__name__)
 
-_PATIENCE_S: Final = 6.0  # with a commit; one that took longer is read back
-_CLOSE_PATIENCE_S: Final = 0.5  # with a commit that is under way
+_PATIENCE_S: Final = 6.0  # for a commit; a longer one is read back
+_CLOSE_PATIENCE_S: Final = 0.5  # for a running commit
 _WORKER: Final = TRIAL_COLUMNS.split(", ").index("worker") + 1  # behind the task
 
 
 @final
 @dataclass(slots=True)
 class _Owned:
-    """A task's key, the epoch at which this server took it, and the last log position that it knows of."""
+    """A task's key, the epoch at which this server took it, and its last known log position."""
 
     key: int
     epoch: int
@@ -73,20 +73,20 @@ class PostgresLog:
         return self._url
 
     def owns(self, task: str) -> bool:
-        """Whether this server writes to a task, or gives it that name just now."""
+        """Whether this server writes to a task, or is giving it that name."""
         return task == self._naming or task in self._owned
 
     def own(self, row: TaskRow) -> None:
-        """Write to a task from now on, which the lease has taken."""
+        """Start to write to a task that the lease has taken."""
         self._owned[row.name] = _Owned(row.key, row.epoch, row.last)
 
     def hand_over(self, task: str) -> None:
-        """Write to a task no more, and let another server take it; no write to it may be under way."""
+        """Stop writing to a task and let another server take it; no write may be running."""
         own = self._owned.pop(task)
         self.lease.give(own.key, own.epoch)
 
     def keep(self, lost: Callable[[str], None], seen: Callable[[], None] = lambda: None) -> None:
-        """Keep the lease until `close`, and tell why the tasks are lost if they are."""
+        """Keep the lease until `close`; call `lost` with the reason if the tasks are lost."""
         self._lost = lost
         self.lease.keep(lost, seen)
 
@@ -110,7 +110,7 @@ class PostgresLog:
                         "to go on with what is there"
                     )
                 if now != name:  # the served task would have to change its name during requests
-                    self._lost("a task was renamed or deleted as the connection was lost: it is read anew")
+                    self._lost("a task was renamed or deleted as the connection was lost: it is read again")
                     raise moved(name)
                 if last > own.last:
                     found.append((name, list(self.reads.read(name, own.last))))
@@ -134,7 +134,7 @@ class PostgresLog:
         return event
 
     def append_reports(self, reports: Sequence[PendingReport]) -> list[Stored | Conflict | ShuttingDown]:
-        """As `TaskLog.append_reports`. Ids are looked up only if one turns out to be stored."""
+        """As `TaskLog.append_reports`. Ids are looked up only after a conflict."""
         try:
             return self._append(reports, {})
         except errors.UniqueViolation:
@@ -203,7 +203,7 @@ class PostgresLog:
         return event
 
     def purge(self) -> list[str]:
-        """As `TaskLog.purge`. The count of positions stays, as servers that stand by compare it."""
+        """As `TaskLog.purge`. The count of positions stays, as standby servers compare it."""
         gone = [name for name in self._owned if name.startswith(DELETED)]
         keys, positions = [self._owned[name].key for name in gone], sum(self._owned[name].last for name in gone)
         with database_errors("purge the deleted tasks"), self._writing, self._connected().transaction() as block:
@@ -237,13 +237,13 @@ class PostgresLog:
         return added
 
     def describe(self, entries: Mapping[str, bytes]) -> None:
-        """Keep what other servers say of tasks; a failure is no harm."""
+        """Store descriptions of tasks for other servers; a failure does no harm."""
         named = [(own.key, entry) for name, entry in entries.items() if (own := self._owned.get(name)) is not None]
         with self._writing, database_errors("describe the tasks", self._writer):
             self._connected().execute(statements.DESCRIBE, [list(column) for column in zip(*named, strict=True)])
 
     def described(self, tasks: Iterable[str]) -> dict[str, bytes]:
-        """What their servers say of tasks."""
+        """Descriptions of tasks by their servers."""
         return {str(name): bytes(entry) for name, entry in self._rows(statements.DESCRIBED, list(tasks))}
 
     def save_cache(self, task: str, version: int, data: bytes) -> None:
@@ -276,9 +276,9 @@ class PostgresLog:
             self._writing.release()
 
     def _write(self, doing: str, statement: str, values: Sequence[Any], tasks: int = 1) -> list[int]:
-        """Run one statement that is fenced, and return the keys of the tasks it was for, or of those still owned.
+        """Run a fenced statement; returns the keys of its tasks, or of those still owned.
 
-        Raises `UniqueViolation` for an id or a name that is stored, and `ShuttingDown` where no task is owned any more.
+        Raises `UniqueViolation` for a stored id or name, and `ShuttingDown` if no task is owned any more.
         """
         with self._writing:
             if self._closing:
@@ -292,7 +292,7 @@ class PostgresLog:
                     sent = True
                     kept = [int(key) for (key,) in connection.execute(statement, values).fetchall()]
             except ShuttingDown:
-                self._unknown = sent  # it may be stored, or not
+                self._unknown = sent  # unknown whether it is stored
                 self._discard()
                 raise
             self._unknown = len(kept) < tasks  # taken by another server, or an earlier write came late

@@ -1,8 +1,8 @@
-"""The statements by which a server writes to its tasks in PostgreSQL.
+"""The statements that write to tasks in PostgreSQL.
 
-The first part of each write is the fence: it finds no row where another server took the task, or added to it. Whatever
-else the statement does depends on that row. So for each task all of it happens or nothing, in one commit and one round
-trip. %b stands for a value in binary form; ? for one of a statement that `PostgresDatabase.rows` runs.
+Each write begins with a fence, which finds no row if another server took the task or added to it. The rest of the
+statement depends on that row, so for each task all of it happens or nothing, in one commit and one round trip. %b
+stands for a value in binary form; ? for one of a statement that `PostgresDatabase.rows` runs.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ CREATE: Final = f"""WITH fence AS ({NEW_TASK}), kept AS (INSERT INTO event ({_EV
 ADOPT_TRIALS: Final = f"INSERT INTO trial (task, {ROW_COLUMNS}) VALUES ({', '.join(['%b'] * 16)})"
 ADOPT_EVENTS: Final = f"INSERT INTO event ({_EVENT_COLUMNS}) VALUES ({', '.join(['%b'] * 6)})"
 DISOWN: Final = "DELETE FROM task WHERE id = ANY(%s) AND owner = %s"
-PATIENT: Final = "SET LOCAL statement_timeout = 0"  # a whole task's rows take long
+PATIENT: Final = "SET LOCAL statement_timeout = 0"  # deleting a whole task takes long
 KNOWN: Final = "SELECT id, seq, digest FROM trial WHERE task = %b AND id = ANY(%b::bytea[])"
 ROWS: Final = f"SELECT {ROW_COLUMNS} FROM trial WHERE task = ? AND id = ?"
 CACHE: Final = """INSERT INTO cache (task, version, data, digest) VALUES (%b, %b, %b, %b) ON CONFLICT (task) DO UPDATE

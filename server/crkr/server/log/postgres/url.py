@@ -1,4 +1,4 @@
-"""URLs of databases. This module needs no psycopg, so that any command can tell a database from a data directory."""
+"""URLs of databases, without psycopg, so that any command can tell a database from a data directory."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ __all__ = ["is_url", "printable_location"]
 
 _URL: Final = re.compile(r"postgres(?:ql)?://")
 _PARAMETER: Final = re.compile(r"(password=)[^&]*")
-_PASSWORD: Final = re.compile(r"(://[^/@:]*):.*@", re.DOTALL)  # it may hold / and @, and ends at the last @
+_PASSWORD: Final = re.compile(r"(://[^/@:]*):.*@", re.DOTALL)  # may contain / and @, and ends at the last @
 
 
 def is_url(where: str | Path) -> bool:

@@ -1,8 +1,8 @@
 """The log and the workers' publications, joined and passed to a display.
 
-The log is the truth about trials. A view gets each trial once and in order, also those from before the display started;
-lost publications and restarts of the server cost no point of a curve. Publications add what the log does not hold:
-poses, widths, durations. A picture waits until its trial is read from the log, usually half a second.
+The log is the truth about trials: a view gets each trial once and in order, earlier ones too, whatever publications are
+lost and however often the server restarts. Publications add poses, widths and durations, which are not in the log. A
+picture waits until its trial is read from the log, usually half a second.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class View(Protocol):
         """New trials of the log, in order."""
 
     def picture(self, row: Row, telemetry: Telemetry) -> None:
-        """What a worker published about one of these trials."""
+        """A worker's publication about one of these trials."""
 
     def epoch(self, result: EpochResult, progress: Progress) -> None:
         """An evaluation is complete."""
@@ -71,7 +71,7 @@ class Feed:
         progress: The run so far.
         skipped: Publications and answers that could not be read or shown.
         refused: Goals that workers refused.
-        dropped: Pictures that waited too long for their trial, or are not the first one of it.
+        dropped: Pictures that waited too long for their trial, or were not its first.
     """
 
     def __init__(self, view: View, progress: Progress | None = None) -> None:
@@ -106,7 +106,7 @@ class Feed:
             self.dropped += 1
 
     def take(self, subscription: Subscription, patience_s: float) -> bool:
-        """Add the next publication within `patience_s` [s]; False if there is none."""
+        """Add the next publication within `patience_s` [s]; False without one."""
         received: list[tuple[str, dict[str, Any]] | None] = []
         self._attempt(lambda: received.append(subscription.receive(patience_s)))
         for each in received:
@@ -116,7 +116,7 @@ class Feed:
         return True
 
     def _attempt(self, action: Callable[[], object]) -> None:
-        """Handle a message from elsewhere; an error is counted and shown, and the display goes on."""
+        """Handle a message of another program; an error is counted and shown, and the display continues."""
         try:
             action()
         except (KeyboardInterrupt, SystemExit, GeneratorExit):
@@ -136,7 +136,7 @@ class Feed:
             self._view.say(f"worker {worker} refused a goal that is out of bounds: {self.refused} so far", warning=True)
 
     def update(self, update: Update, now: float) -> None:
-        """Add what the server answered; `now` is monotonic [s]."""
+        """Add the server's answer; `now` is monotonic [s]."""
         if update.lost is not None:
             self._note_loss(update)
             return
@@ -156,7 +156,7 @@ class Feed:
             self._attempt(lambda: self._view.status(status, self.progress, now))
 
     def step(self, now: float) -> None:
-        """Pass on what is ready; `now` is monotonic [s]."""
+        """Pass on everything that is ready; `now` is monotonic [s]."""
         for result in self.progress.finished_epochs(now):
             self._show_epoch(result)
         for key, telemetry in list(self._waiting.items()):

@@ -53,7 +53,7 @@ class LiveSession:
 
 
 def _description(task: Task) -> str:
-    """The task's description, "" where it cannot be read: a display can do without."""
+    """The task's description; "" if it cannot be read."""
     try:
         return task.spec.description
     except CrkrError as error:
@@ -67,11 +67,11 @@ def wait_for_task(
     """Wait for a server that answers and has the task; None if stopped before.
 
     Args:
-        client: Its timeout is that of each question, and so the longest that a stop takes.
+        client: Its timeout is that of each question, and so bounds the time to stop.
         name: The task.
         patience_s: Longest wait [s].
         stop: Checked after each question.
-        say: Called once with what is waited for.
+        say: Called once with the reason for waiting.
 
     Raises:
         Unavailable: No server answered in time.
@@ -102,8 +102,7 @@ def follow(
 ) -> None:
     """Feed a display from the log and the publications, with a step every `tick_s` [s], while `goes_on`.
 
-    It begins where the feed has come to. If a question is open at the end, the client is closed. `rest` is as for
-    `Poller`.
+    Starts at the feed's position. If a question is open at the end, the client is closed. `rest` is as for `Poller`.
     """
     poller = Poller(task, client.close, after=feed.progress.seq, rest=rest)
     with task.subscribe() as subscription, poller:

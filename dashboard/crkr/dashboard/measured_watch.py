@@ -1,7 +1,7 @@
 """A `crkr watch` that measures itself; `crkr bench dashboard` runs it as a process.
 
-It follows a task as the command does, and draws into a recording or, as a baseline, not at all. The end of its standard
-input ends it; it then prints what it measured as one JSON object.
+It follows a task like the command, and draws into a recording or, as a baseline, not at all. It ends with its standard
+input, and then prints its measurements as one JSON object.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ STATM: Final = Path("/proc/self/statm")
 
 @final
 class Meter:
-    """A view that notes when another one drew pictures, and how large the process is.
+    """A view that measures another one's delay and the size of the process.
 
     Args:
         view: The other one; None draws nothing.
@@ -52,7 +52,7 @@ class Meter:
         self._view = view
         self._arrivals = arrivals
         self._fresh: list[int] = []
-        self.lags = array("d")  # 8 bytes each: the memory is measured too
+        self.lags = array("d")  # 8 bytes each, as memory is measured too
         self.sizes: list[tuple[float, float, int]] = []
         self.task: Callable[..., None] = getattr(view, "task", _ignore)
         self.trials: Callable[..., None] = getattr(view, "trials", _ignore)

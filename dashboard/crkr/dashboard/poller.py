@@ -1,4 +1,4 @@
-"""A thread that asks the server for new trials and its status, so that no picture waits for an answer."""
+"""A thread that asks the server for new trials and its status, so that drawing never waits for an answer."""
 
 from __future__ import annotations
 
@@ -45,10 +45,10 @@ class Poller:
 
     Args:
         task: The task.
-        interrupt: Ends an open question; called at the end if there is one.
+        interrupt: Aborts an open question at the end.
         after: Log position to read from.
-        rest: Pause after each page of a long log, as a multiple of the time that the page took. It leaves the server
-            time for others.
+        rest: Pause after each page of a long log, as a multiple of the page's time, to leave the server time for
+            others.
     """
 
     def __init__(self, task: Task, interrupt: Callable[[], object], *, after: int = 0, rest: float = 0.0) -> None:
@@ -94,7 +94,7 @@ class Poller:
                     return
                 self._put(Update(lost=error))
                 more = False
-            except BaseException as error:  # whatever an answer holds, the thread asks again
+            except BaseException as error:  # the thread survives any answer
                 self._put(Update(lost=Internal(f"an answer cannot be read: {type(error).__name__}: {error!s:.200}")))
                 more = False
             self._stop.wait(self._rest * (time.monotonic() - begun) if more else SAMPLES_EVERY_S)

@@ -1,4 +1,4 @@
-"""How far the newest trials went as their goals' predictions said, which workers keep in `info["predicted"]`."""
+"""Compares the newest trials with their predictions, which workers store in `info["predicted"]`."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class PredictionRecord:
             self._add_outcome(trial.outcome, predicted)
 
     def shares(self) -> dict[str, float]:
-        """The shares that are known, by name."""
+        """Known shares by name."""
         known = {}
         if self._chances:
             known[EXPECTED] = self._expected / len(self._chances)

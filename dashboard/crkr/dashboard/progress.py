@@ -17,8 +17,8 @@ from crkr.protocol import StoredTrial
 __all__ = ["PACE_S", "WINDOW", "EpochResult", "Pace", "Progress", "Row", "Window"]
 
 WINDOW: Final = 50  # training trials in a running mean: the paper's epoch
-QUIET_S: Final = 3.0  # without a new ball, after which an evaluation is over
-MAX_EPOCHS: Final = 2000  # kept; the oldest that are over are dropped
+QUIET_S: Final = 3.0  # time without a new ball after which an evaluation is over
+MAX_EPOCHS: Final = 2000  # evaluations kept; the oldest finished ones are dropped
 PACE_S: Final = 60.0  # over which trials per second are counted
 MOST_TIMES: Final = 4096
 MAX_NAMES: Final = 24  # reasons, criteria and workers; later ones count as "other"
@@ -33,7 +33,7 @@ class Row:
         stored: The trial.
         seq: Its log position.
         trial: Training trials (kinds trial and failed) up to and including this one.
-        epoch: The epoch it belongs to; for an epoch's evaluation the one that it closes.
+        epoch: Its epoch; for an epoch's evaluation the epoch that it closes.
         kind: The protocol's kind.
         worker: The worker that reported it, "" if unknown.
         cost: In [0, 1], or None.
@@ -43,7 +43,7 @@ class Row:
         mean_cost: Training trials only: mean cost of the last 50 of them, or None.
         rates: Training trials only: success rate of the last 50 of them by criterion.
         shares: Training trials only: share of the last 50 of them by reason.
-        predictions: Training trials only: what was expected of the last 200 of them, and what came of it.
+        predictions: Training trials only: predictions and results of the last 200 of them.
     """
 
     stored: StoredTrial
@@ -128,7 +128,7 @@ class Window:
 class Pace:
     """Training trials per second by the times at which the server stored them.
 
-    So it is right for a display that joins late and reads a long log at once, and it falls to 0 after the end.
+    It is also right for a display that joins late and reads a long log at once, and falls to 0 after the end.
     """
 
     def __init__(self) -> None:
@@ -171,7 +171,7 @@ class Progress:
         epochs: Evaluations by epoch; one that states no epoch was made by hand and counts by kind only.
         window: The last 50 training trials.
         pace: How quickly they come.
-        predictions: What was expected of the last 200 training trials, and what came of it.
+        predictions: Predictions and results of the last 200 training trials.
     """
 
     def __init__(self, *, running: bool = True) -> None:
@@ -232,7 +232,7 @@ class Progress:
     def followed_epochs(self) -> list[EpochResult]:
         """The same for a log that is read at once: as many balls as the one before, or two later ones have begun.
 
-        Several workers play them, and begin the next evaluation while the last balls of one are in play.
+        Several workers may start the next evaluation while the last balls of one are in play.
         """
         newest = sorted(self.epochs)[-2:]
         return self._close_epochs(lambda result: result.epoch < newest[0])
@@ -261,7 +261,7 @@ class Progress:
         self.epoch = max(self.epoch, epoch + 1)
 
     def _outcomes(self, info: Mapping[str, Any], success: bool) -> dict[str, bool]:
-        """Success by criterion, of those that the tables have room for."""
+        """Success by criterion, for as many as the tables hold."""
         outcomes = {name[:32]: met for name, met in success_by_criterion(success, info).items()}
         for name in outcomes:
             if name not in self.criteria and len(self.criteria) < MAX_NAMES:

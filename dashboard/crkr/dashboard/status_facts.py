@@ -1,4 +1,4 @@
-"""What the tables of every display show. The server's status is read leniently: fields may be added or absent."""
+"""Facts for the tables of all displays. Reads the server's status leniently: fields may be added or absent."""
 
 from __future__ import annotations
 
@@ -32,7 +32,8 @@ class WorkerFacts:
 
     Attributes:
         name: Its id.
-        state: As the server calls it, "alive" while its liveliness token stands; "unknown" where only the log knows it.
+        state: As in the server's status, "alive" while its liveliness token is declared; "unknown" if only the log
+            knows it.
         trials: Trials that it reported, of all kinds.
         quiet_s: Time since its last message [s], or None.
     """
@@ -87,7 +88,7 @@ def advice_lines(status: Mapping[str, Any]) -> list[str]:
 
 
 def drift_score(status: Mapping[str, Any]) -> float | None:
-    """How far outcomes are from what was predicted: above 12 the robot is taken to have changed. None: not watched."""
+    """How far outcomes are from what was predicted: above 12 the robot has changed. None: not watched."""
     drift = status.get("drift")
     score = drift.get("score") if isinstance(drift, Mapping) else None
     return float(score) if isinstance(score, int | float) else None
@@ -105,13 +106,13 @@ def latency_ms(status: Mapping[str, Any]) -> dict[str, tuple[float, float]]:
 
 
 def server_time(status: Mapping[str, Any], age_s: float) -> float:
-    """The present time by the server's clock [unix s]; by this machine's where an older server does not tell."""
+    """The current time by the server's clock [unix s]; by this machine's if an older server does not send it."""
     told = status.get("time")
     return float(told) + age_s if isinstance(told, int | float) else time.time()
 
 
 def recent_workers(workers: Sequence[WorkerFacts], most: int) -> tuple[list[WorkerFacts], int]:
-    """At most `most` workers that are alive or were heard in the last ten minutes, and how many others there are."""
+    """At most `most` workers that are alive or were heard in the last ten minutes, and the number of others."""
     shown = [worker for worker in workers if worker.state == "alive" or (worker.quiet_s or 0.0) < GONE_S][:most]
     return shown, len(workers) - len(shown)
 

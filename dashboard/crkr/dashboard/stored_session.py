@@ -1,7 +1,7 @@
 """A task in a data directory, shown on a display without a server.
 
-An entry point names what reads the directory, so that the dashboard knows no database. The times at which trials were
-stored stand in for the clock.
+An entry point names the reader of the directory, so that the dashboard knows no database. The times at which trials
+were stored replace the clock.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ GROUP: Final = "crkr.data_directories"
 
 SMALLEST_PAGE: Final = 25
 LOOK_S: Final = 0.1  # between two looks at whether a shown run was stopped
-PAGES: Final = 1000  # of a long log: more points of the learner's curves than a screen shows
+PAGES: Final = 1000  # pages of a long log: more points than a screen shows
 
 
 class StoredRun(Protocol):
@@ -41,7 +41,7 @@ class StoredRun(Protocol):
         """Log position of the last entry."""
 
     def pages(self, size: int) -> Iterator[tuple[list[StoredTrial], Mapping[str, Any]]]:
-        """All trials in the order of seq; each page with the `status` after it, without what the log does not hold."""
+        """All trials in the order of seq; each page with the `status` after it, as far as the log has it."""
 
     def close(self) -> None:
         """Close the directory."""

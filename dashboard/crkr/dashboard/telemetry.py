@@ -1,4 +1,4 @@
-"""What a worker published about one trial, checked before anything is drawn from it."""
+"""A worker's publication about one trial, checked before it is drawn."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from crkr.protocol.trial import KINDS
 
 __all__ = ["Telemetry"]
 
-# More than an honest message of 64 kB holds. A hostile one must not draw an endless or astronomical scene.
+# More than an honest message of 64 kB holds. A hostile one must not draw a huge or endless scene.
 MAX_GEOMS: Final = 1000
 MAX_NAMES: Final = 256
 MAX_DURATION_S: Final = 600.0
@@ -37,7 +37,7 @@ class Telemetry:
         novelty: In [0, 1], or None.
         timing_ms: Durations of the trial's phases by name, e.g. "predict" [ms].
         trace: How things moved, or None.
-        scene: The shapes that moved or stood still, or None where the worker sent them before.
+        scene: The shapes, or None if the worker sent them before.
     """
 
     seq: int

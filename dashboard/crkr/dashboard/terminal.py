@@ -57,7 +57,7 @@ class TerminalDisplay:
     Args:
         console: Where to.
         task: The task's name.
-        replayed: The run is over: only `finish` shows anything, which is the tables.
+        replayed: Whether the run is over: then only `finish` shows the tables.
     """
 
     def __init__(self, console: Console, task: str, *, replayed: bool = False) -> None:
@@ -162,7 +162,7 @@ class TerminalDisplay:
         )
 
     def _clock(self, now: float) -> float:
-        """The server's clock; of a stored run, whose times `now` is, that clock itself."""
+        """The server's clock; for a stored run, `now`, which is its time."""
         return now if self._replayed else server_time(self._status, now - self._answered)
 
     def _success(self, progress: Progress) -> Table:

@@ -160,7 +160,7 @@ class Viewer(Closing):
         self._home.cleanup()
 
     def _wait_for(self, address: str) -> None:
-        """Wait until the viewer logs that it serves, and answers: another page may answer on a port that is taken."""
+        """Wait until the viewer logs that it serves, and answers, as another program may answer on a taken port."""
         deadline = time.monotonic() + READY_S
         while time.monotonic() < deadline:
             if not self.is_running:
@@ -186,7 +186,7 @@ def _answers(address: str) -> bool:
 
 
 def _binary() -> str:
-    """Path of the viewer; the `rerun` script is a wrapper, whose end would leave the viewer running.
+    """Path of the viewer, not of the `rerun` script, which could end without it.
 
     Raises:
         ModuleNotFoundError: Rerun is not installed.

@@ -23,7 +23,7 @@ __all__ = [
 if not TYPE_CHECKING:
 
     def __getattr__(name: str) -> object:
-        """The name that `TrialResult` had before, for one release."""
+        """The old name of `TrialResult`, for one release."""
         if name == "Outcome":
             warnings.warn("crkr.sim_worker.Outcome is now called TrialResult", DeprecationWarning, stacklevel=2)
             return TrialResult

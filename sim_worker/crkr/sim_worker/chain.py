@@ -1,4 +1,4 @@
-"""Links in a row, for skills of one's own: their shapes, where they are, and how they move, as displays draw them."""
+"""A chain of links, for users' skills: its shapes, positions and motion, as displays draw them."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Chain:
 
     Args:
         links: Name -> length [m], from the base on.
-        target: Radius of a ball that shows what is aimed at [m]; 0 shows none.
+        target: Radius of a ball that shows the target [m]; 0: no ball.
         radius: Of the links [m].
     """
 
@@ -62,7 +62,7 @@ class Chain:
         Args:
             time: (n,) seconds since the trial's start [s].
             points: (n, k + 1, 3) base and ends of the k links in the world [m], as `points` gives them.
-            target: (2,) or (3,) where the ball is in this trial [m].
+            target: (2,) or (3,) position of the ball in this trial [m].
         """
         ends = np.asarray(points, dtype=np.float64)
         starts, turns = ends[:, :-1], _from_x(np.diff(ends, axis=1))

@@ -1,4 +1,4 @@
-"""Matplotlib figures for files, drawn alike whatever backend and style the environment asks for."""
+"""Matplotlib figures for files, independent of the environment's backend and style."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ mpl.rcdefaults()  # a matplotlibrc in the working directory may ask for LaTeX, w
 
 
 def check_figure(path: Path, *, overwrite: bool) -> None:
-    """Raises `Invalid`, before the work, where no figure can or may be saved at `path`."""
+    """Raises `Invalid`, before the work, if no figure can or may be saved at `path`."""
     kinds = sorted(Figure().canvas.get_supported_filetypes())
     if path.suffix[1:].lower() not in kinds:
         raise Invalid(f"a figure's name ends in .png, .svg or .pdf; got {path.name}")

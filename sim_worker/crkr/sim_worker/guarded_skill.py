@@ -46,7 +46,7 @@ class SkillFault(CrkrError):
 
 @contextmanager
 def skill_code(fault: Callable[[BaseException], NoReturn]) -> Iterator[None]:
-    """Runs code of a skill: what it prints goes to standard error; what it raises, `SystemExit` included, to `fault`.
+    """Runs code of a skill: sends its output to standard error and its exceptions, `SystemExit` too, to `fault`.
 
     Standard output is for the command's result. Only `KeyboardInterrupt` passes.
     """
@@ -60,7 +60,7 @@ def skill_code(fault: Callable[[BaseException], NoReturn]) -> Iterator[None]:
 
 
 def keep_standard_output() -> None:
-    """Redirects this process's standard output to standard error, for libraries in C too."""
+    """Redirects this process's standard output to standard error, also for C libraries."""
     with suppress(OSError):  # there may be no standard error
         os.dup2(2, 1)
 
@@ -75,14 +75,14 @@ def one_line(error: BaseException) -> str:
 
 @final
 class GuardedSkill:
-    """A skill whose results are checked; implements `Skill`, and what else of `crkr.sim_worker.skill` a run needs.
+    """A skill with checked results; implements `Skill` and the other interfaces that a run needs.
 
     An exception of `execute`, or a result that no trial can hold, gives a failed trial with its reason. An exception of
     any other method ends the run with one line.
 
     Args:
         skill: As its user wrote it.
-        within: Given the name of a method of the skill, the block within which it is called.
+        within: Returns the context in which a method of the skill, given by name, is called.
 
     Raises:
         SkillFault: By each method, for an exception or a bad result of the skill; by `execute` at the tenth failure in
@@ -111,7 +111,7 @@ class GuardedSkill:
 
     @property
     def lacks(self) -> Sequence[str]:
-        """What the skill does not offer, and what that means for a run; one line each."""
+        """Missing features of the skill and their consequences for a run, one line each."""
         lines = []
         if not self.can_demonstrate:
             lines.append("no demonstrations: training starts from what the server proposes")
@@ -138,7 +138,7 @@ class GuardedSkill:
         return self._put(method, lambda: judged_state(self._skill, number, rng))
 
     def restore(self, state: Array) -> None:
-        """Puts a state (d,); raises `SkillFault` where the skill cannot."""
+        """Sets up a state (d,); raises `SkillFault` if the skill cannot."""
         if not isinstance(self._skill, HasStates):
             raise SkillFault(f"{self._name} cannot put a stored state (a method `restore`)")
         with skill_code(self._fault("restore")), self._within("restore"):

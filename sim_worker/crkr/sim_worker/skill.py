@@ -1,11 +1,10 @@
-"""Everything that a skill needs: what it implements, what it gives and is given. Nothing else knows the task.
+"""The interfaces and values of a skill. No other part knows the task.
 
-A skill is an object with three methods (`Skill`): `spec`, `reset` and `execute`. It may offer more, each for one
-purpose: `demonstrations` to start from (`HasDemonstrations`), a `scene` for displays (`HasScene`), a planner for
-`crkr oracle` (`HasPlanner`, `HasPlan`) and the options that it chose (`HasOptions`). `restore` makes stored trials
-playable again (`HasStates`), `film` gives pictures a finer motion (`HasFilm`), `draw_policy` puts a policy into its
-space (`HasPolicyFigure`), and `evaluation_context` chooses what it is judged in (`HasContexts`). examples/reach.py is a
-whole one.
+A skill is an object with three methods (`Skill`): `spec`, `reset` and `execute`. Optional are `demonstrations` to start
+from (`HasDemonstrations`), a `scene` for displays (`HasScene`), a planner for `crkr oracle` (`HasPlanner`, `HasPlan`),
+the chosen `options` (`HasOptions`), `restore` to replay stored trials (`HasStates`), `film` for finer motion in
+pictures (`HasFilm`), `draw_policy` for a figure of a policy (`HasPolicyFigure`), and `evaluation_context` for its own
+evaluation contexts (`HasContexts`). examples/reach.py is a complete skill.
 """
 
 from __future__ import annotations
@@ -63,7 +62,7 @@ class SkillOptions:
         preset: The task specification, e.g. "tuned".
         name: Name of the task; None is the skill's own name.
         seed: Seed of the task's exploration draws.
-        traces: Whether results tell the motion; experiments do without, which saves a skill time.
+        traces: Whether results have traces; without them, experiments save time.
     """
 
     environment: str | None = None
@@ -74,7 +73,7 @@ class SkillOptions:
     traces: bool = True
 
     def applied_to(self, spec: TaskSpec) -> TaskSpec:
-        """A skill's specification with the name and the seed that are asked for."""
+        """A skill's specification with the requested name and seed."""
         return replace(
             spec, name=spec.name if self.name is None else check_name(self.name), seed=self.seed or spec.seed
         )
@@ -86,7 +85,7 @@ class TrialResult:
 
     Attributes:
         cost: In [0, 1]; None where nothing was executed or measured.
-        success: Whether the trial did what is wanted.
+        success: Whether the trial succeeded.
         executed: False for a goal that was refused or could not be measured (kind "failed").
         outcome: (q,) signed measurements, NaN where not observed; None where the spec declares none.
         info: Plain data for the log, e.g. {"reason": "miss", "outcomes": {"paper": False, "strict": False}}.
@@ -129,7 +128,7 @@ class Film:
 
     Attributes:
         trace: Poses and paths.
-        moment: The time that matters most, as of a hit or a release [s]; None where none does.
+        moment: The most important time, as of a hit or a release [s]; None without one.
     """
 
     trace: Trace
@@ -146,7 +145,7 @@ class Skill(Protocol):
         """Draws a new situation and returns its state (d,); the next `execute` starts from it."""
 
     def execute(self, goal: Array) -> TrialResult:
-        """Tries a goal (p,) in the situation of the last `reset`; a bad goal gives its reason, no exception.
+        """Tries a goal (p,) in the situation of the last `reset`; a bad goal gives a reason, not an exception.
 
         An exception, or a result that no trial can hold, counts as a failed trial; ten in a row end the worker.
         """
@@ -170,7 +169,7 @@ class HasScene(Protocol):
 
 @runtime_checkable
 class HasPlanner(Protocol):
-    """A skill that can plan from a model of the task, as a reference for what it learned."""
+    """A skill with a planner that knows the task's model, as a reference for the learned policy."""
 
     def best_plan(self, state: Array, /) -> Mapping[str, bool]:
         """Whether one of its plans for a state (d,) succeeds, by each criterion."""
@@ -178,23 +177,23 @@ class HasPlanner(Protocol):
 
 @runtime_checkable
 class HasPlan(Protocol):
-    """A skill that can tell such a plan."""
+    """A skill that can return such a plan."""
 
     def plan(self, state: Array, /) -> tuple[Array, TrialResult] | None:
-        """A goal (p,) that succeeds in a state (d,), and its result; None where it finds none."""
+        """A goal (p,) that succeeds in a state (d,), and its result; None if it finds none."""
 
 
 @runtime_checkable
 class HasStates(Protocol):
-    """A skill that can be put into any state, as into that of a stored trial."""
+    """A skill that can set up any state, e.g. that of a stored trial."""
 
     def restore(self, state: Array, /) -> None:
-        """Puts the situation of a state (d,); the next `execute` starts from it."""
+        """Sets up the situation of a state (d,); the next `execute` starts from it."""
 
 
 @runtime_checkable
 class HasFilm(Protocol):
-    """A skill whose motion can be told more finely than traces have it."""
+    """A skill that can return a motion finer than its traces."""
 
     def film(self, goal: Array, interval: float, /) -> Film | None:
         """The motion of `execute` in steps of at most `interval` [s]; None where the goal is refused."""
@@ -202,7 +201,7 @@ class HasFilm(Protocol):
 
 @runtime_checkable
 class HasPolicyFigure(Protocol):
-    """A skill that draws what goals mean in its space, for `crkr plot policy`."""
+    """A skill that draws goals in its workspace, for `crkr plot policy`."""
 
     def draw_policy(self, figure: Any, states: Array, goals: Array, index: int, /) -> None:
         """Draws goals (n, p) of states (n, d), which differ in coordinate `index`, into an empty Matplotlib figure."""
@@ -210,19 +209,19 @@ class HasPolicyFigure(Protocol):
 
 @runtime_checkable
 class HasContexts(Protocol):
-    """A skill that chooses the situations that it is judged in, as a benchmark's fixed ones."""
+    """A skill with its own evaluation situations, such as a benchmark's fixed ones."""
 
     def evaluation_context(self, number: int, rng: np.random.Generator, /) -> Array:
-        """Puts situation `number` of an evaluation and returns its state (d,); without it, `reset` draws one."""
+        """Sets up situation `number` of an evaluation and returns its state (d,); without it, `reset` draws one."""
 
 
 @runtime_checkable
 class HasOptions(Protocol):
-    """A skill that tells what it chose where its options left it the choice."""
+    """A skill that reports the options in force."""
 
     @property
     def options(self) -> SkillOptions:
-        """The options in force: environment and launcher are named where the skill has any."""
+        """The options in force, with the chosen environment and launcher, if the skill has any."""
 
 
 def read_specification(path: Path | str) -> TaskSpec:
@@ -231,17 +230,17 @@ def read_specification(path: Path | str) -> TaskSpec:
 
 
 def options_in_force(skill: Skill, asked: SkillOptions) -> SkillOptions:
-    """The options that a skill made with `asked` runs with; `asked` itself if it does not tell."""
+    """The options in force of a skill made with `asked`; `asked` itself if it does not report them."""
     return skill.options if isinstance(skill, HasOptions) else asked
 
 
 def judged_state(skill: Skill, number: int, rng: np.random.Generator) -> Array:
-    """Puts situation `number` of an evaluation, the skill's own or drawn from `rng`, and returns its state (d,)."""
+    """Sets up situation `number` of an evaluation, the skill's own or drawn from `rng`; returns its state (d,)."""
     return skill.evaluation_context(number, rng) if isinstance(skill, HasContexts) else skill.reset(rng)
 
 
 class SkillFactory(Protocol):
-    """What the entry point group `crkr.skills` names."""
+    """The type of entry points in the group `crkr.skills`."""
 
     def __call__(self, options: SkillOptions) -> Skill:
         """Makes the skill; raises `Invalid` for an option it does not know."""
@@ -250,7 +249,7 @@ class SkillFactory(Protocol):
 if not TYPE_CHECKING:
 
     def __getattr__(name: str) -> object:
-        """The name that `TrialResult` had before, for one release."""
+        """The old name of `TrialResult`, for one release."""
         if name == "Outcome":
             warnings.warn("crkr.sim_worker.skill.Outcome is now called TrialResult", DeprecationWarning, stacklevel=2)
             return TrialResult

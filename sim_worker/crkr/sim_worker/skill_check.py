@@ -1,6 +1,6 @@
-"""Tries a skill before a run does: interface, shapes, ranges, repeatability, how smooth outcomes are, what fails.
+"""Checks a skill before a run: interface, shapes, ranges, repeatability, smoothness of outcomes, failures.
 
-d, p and q are how many numbers a state, a goal and an outcome have. A trial's numbers are its cost and its outcome.
+A state, a goal and an outcome have d, p and q numbers. A trial's numbers are its cost and its outcome.
 """
 
 from __future__ import annotations
@@ -21,24 +21,24 @@ from crkr.sim_worker.worker.telemetry import thinned
 
 __all__ = ["Remark", "check", "problems"]
 
-_STATES: Final = 40  # drawn, and as many goals tried
-_MARGIN: Final = 0.05  # of a state's box, which sampled boxes are short of
+_STATES: Final = 40  # states drawn, and goals tried
+_MARGIN: Final = 0.05  # share of a state's box that samples rarely reach
 _STEPS: Final = 12  # pairs of neighbouring goals
 _STEP: Final = 0.01  # of the bounds, between neighbours
-_ROUGH: Final = 0.25  # of an outcome's spread, by which neighbours may differ
+_ROUGH: Final = 0.25  # share of an outcome's spread by which neighbours may differ
 _SHOWN: Final = 3  # demonstrations that are tried again
-_DRAWN: Final = 20  # goals of which one must come with a motion, where there is a scene
+_DRAWN: Final = 20  # goals of which one must have a motion, if there is a scene
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class Remark:
-    """One thing that was tried.
+    """One finding.
 
     Attributes:
-        level: "ok", "warning" (it runs, and learns less well) or "problem" (it does not keep its contract).
+        level: "ok", "warning" (it learns less well) or "problem" (it violates its contract).
         what: The part of the skill.
-        message: What was found, and for the latter two what to do.
+        message: The finding, and for a warning or problem what to do.
     """
 
     level: str
@@ -50,21 +50,21 @@ class Remark:
 
 
 def problems(skill: Skill, *, seed: int = 0) -> list[str]:
-    """What does not keep the contract of `Skill`; empty where all does, for a test of one's own."""
+    """Violations of the contract of `Skill`; empty if there are none, for a user's own test."""
     return [str(one) for one in check(skill, seed=seed) if one.level == "problem"]
 
 
 def check(
     skill: Skill, *, seed: int = 0, timeout_s: float = 60.0, late: Callable[[Remark], None] | None = None
 ) -> Iterator[Remark]:
-    """Tries a skill with random situations and goals, some 150 trials.
+    """Checks a skill with some 150 random situations and goals.
 
     Args:
         skill: What `load_skill` or your factory makes.
         seed: Of the situations and goals.
-        timeout_s: How long a trial, or another call of the skill, may take [s].
-        late: Is told once of a call that takes longer, from another thread. It must end the process, as nothing else
-            ends such a call. None: there is no limit.
+        timeout_s: Time limit of a trial, or another call of the skill [s].
+        late: Called once from another thread if a call takes longer. It must end the process, as nothing else ends such
+            a call. None: no limit.
     """
     if late is None:
         yield from _all(skill, GuardedSkill(skill), seed)
@@ -97,7 +97,7 @@ def _measures(spec: TaskSpec) -> str:
 
 
 def _situations(skill: GuardedSkill, spec: TaskSpec, seed: int) -> Iterator[Remark]:
-    """States (40, d): in their box, different, and the same for the same seed."""
+    """Checks that states (40, d) are in their box, different, and the same for the same seed."""
     rng = np.random.default_rng(seed)
     states = np.array([skill.reset(rng).copy() for _ in range(_STATES)])
     again = np.random.default_rng(seed)
@@ -119,7 +119,7 @@ def _situations(skill: GuardedSkill, spec: TaskSpec, seed: int) -> Iterator[Rema
 
 
 def _trials(skill: GuardedSkill, spec: TaskSpec, seed: int) -> Iterator[Remark]:
-    """Goals all over their bounds: what they come to, what fails, and how long they take."""
+    """Tries goals all over their bounds: results, failures and times."""
     rng, (low, high) = np.random.default_rng((seed, 1)), spec.bounds
     goals = [low, high, (low + high) / 2, *rng.uniform(low, high, (_STATES - 3, len(low)))]
     results: list[TrialResult] = []
@@ -184,7 +184,7 @@ def _outcomes(executed: list[TrialResult], spec: TaskSpec) -> Iterator[Remark]:
 
 
 def _repetition(skill: GuardedSkill, spec: TaskSpec, seed: int) -> Iterator[Remark]:
-    """The same situation and goal twice: noise, in tolerances."""
+    """Tries the same situation and goal twice: noise, in tolerances."""
     goals = np.random.default_rng((seed, 2)).uniform(*spec.bounds, (5, len(spec.goal)))
     worst, varies = 0.0, False
     tolerances = np.array([entry.tolerance for entry in spec.outcome])
@@ -211,7 +211,7 @@ def _repetition(skill: GuardedSkill, spec: TaskSpec, seed: int) -> Iterator[Rema
 
 
 def _neighbours(skill: GuardedSkill, spec: TaskSpec, seed: int) -> Iterator[Remark]:
-    """How much the numbers of trials differ between goals that are a hundredth of the bounds apart."""
+    """Compares trials of goals that are a hundredth of the bounds apart."""
     rng, (low, high) = np.random.default_rng((seed, 4)), spec.bounds
     before, after = list[Array](), list[Array]()
     for number in range(_STEPS):
@@ -241,7 +241,7 @@ def _neighbours(skill: GuardedSkill, spec: TaskSpec, seed: int) -> Iterator[Rema
 
 
 def _numbers(result: TrialResult, spec: TaskSpec) -> Array:
-    """(1 + q,) the cost and the outcome, NaN where there is none."""
+    """(1 + q,) the cost and the outcome, NaN if missing."""
     outcome = np.full(len(spec.outcome), np.nan) if result.outcome is None else result.outcome
     return np.array([np.nan if result.cost is None else result.cost, *outcome])
 
@@ -296,7 +296,7 @@ def _demonstrations(skill: GuardedSkill, seed: int) -> Iterator[Remark]:
 
 
 def _tried(skill: GuardedSkill, goal: Array) -> TrialResult:
-    """The result of a goal; ten failures in a row are told as the last one is."""
+    """The result of a goal; ten failures in a row are reported like the last one."""
     try:
         return skill.execute(goal)
     except SkillFault as fault:

@@ -32,11 +32,11 @@ __all__ = [
 
 GROUP: Final = "crkr.skills"
 FAMILIES: Final = "crkr.skill_families"
-"""Entry points that make a factory of what follows their name and a colon, as of an environment's name."""
+"""Entry points that make a factory from the text after their name and a colon, e.g. an environment's name."""
 
 
 def installed_skills() -> tuple[str, ...]:
-    """Names that installed packages offer in the entry point group `crkr.skills`, sorted."""
+    """Sorted names of installed packages in the entry point group `crkr.skills`."""
     return tuple(sorted(entry_points(group=GROUP).names))
 
 
@@ -45,7 +45,7 @@ class MissingLibrary(CrkrError, ModuleNotFoundError):
 
 
 def check_skill(name: str) -> str:
-    """Returns `name` if it names an installed skill, or a module or file with its factory; loads nothing.
+    """Returns `name` if it names an installed skill, or a module or file with a factory; loads nothing.
 
     Raises:
         Invalid: It names neither.
@@ -64,7 +64,7 @@ def check_skill(name: str) -> str:
 
 
 def default_task(name: str) -> str:
-    """Name of a task for a skill: its own, or its module's if it is not installed; raises what `check_skill` raises."""
+    """Name of a task for a skill: the skill's, or its module's if it is not installed; raises as `check_skill`."""
     check_skill(name)
     if _family(name):
         return task_name(name)
@@ -110,19 +110,19 @@ def load_skill(name: str, options: SkillOptions) -> Skill:
 
 
 def portable_name(name: str) -> str:
-    """A skill's name as a task remembers it: a file by its whole path."""
+    """A skill's name for a task's specification: a file by its absolute path."""
     place = _Place.of(name) if ":" in name and not _family(name) else None
     return name if place is None or place.file is None else f"{place.file}:{place.factory}"
 
 
 def skill_of(spec: TaskSpec) -> str | None:
-    """The skill that a task says it is for, or an installed one that it is named after; None where there is none.
+    """The skill that a task names, or an installed one of the task's name; None without one.
 
-    A task is another's word. So of what it says, only an installed skill is loaded, code in the working directory, or a
-    file that belongs to this user.
+    A task may come from somebody else, so only an installed skill is loaded, code in the working directory, or a file
+    of this user.
 
     Raises:
-        Invalid: It says another one.
+        Invalid: It names another one.
     """
     name = spec.skill
     if ":" not in name:
@@ -140,7 +140,7 @@ def skill_of(spec: TaskSpec) -> str | None:
 
 
 def _was_not_entered(error: BaseException) -> bool:
-    """Whether the call itself failed, as for `os:system`, rather than code of a factory."""
+    """Whether the call itself failed, as for `os:system`, not code of a factory."""
     return error.__traceback__ is None or Path(traceback.extract_tb(error.__traceback__)[-1].filename) == Path(__file__)
 
 
@@ -151,7 +151,7 @@ def specification(skill: str, /, **options: Any) -> TaskSpec:
         Invalid: There is no such skill, or it does not know an option.
         ModuleNotFoundError: A library that the skill needs is not installed.
     """
-    with chdir(os.getcwd()):  # also where the skill changes folder: the command may write to a relative path
+    with chdir(os.getcwd()):  # also if the skill changes the folder: the command may write to a relative path
         return replace(GuardedSkill(load_skill(skill, SkillOptions(**options))).spec(), skill=portable_name(skill))
 
 
@@ -175,7 +175,7 @@ def _from_family(name: str) -> Any:
 @final
 @dataclass(frozen=True, slots=True)
 class _Place:
-    """Where a user's skill is.
+    """Location of a user's skill.
 
     Attributes:
         folder: Searched first.

@@ -1,4 +1,4 @@
-"""A time limit for calls of a skill: they cannot be interrupted, so a thread reports one that does not end."""
+"""A time limit for calls of a skill, which cannot be interrupted: a thread reports an endless call."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ LOOKS_S: Final = 0.25  # between two looks at the clock, or a quarter of a short
 def time_limit(
     limit_s: float, late: Callable[[str, str], None]
 ) -> Iterator[Callable[[str], AbstractContextManager[None]]]:
-    """Gives the blocks that `GuardedSkill` calls a skill's methods within, in this thread.
+    """Contexts in which `GuardedSkill` calls a skill's methods, in this thread.
 
     Args:
-        limit_s: How long a call may take [s].
-        late: Is told once, from another thread, of a call that takes longer: the method's name, and where it is. It
+        limit_s: Time limit of a call [s].
+        late: Called once from another thread if a call takes longer, with the method's name and its current line. It
             must end the process, as nothing else ends such a call.
     """
     caller, over, running = threading.get_ident(), threading.Event(), list[tuple[str, float]]()
@@ -55,7 +55,7 @@ def time_limit(
 
 
 def _place(frames: Sequence[traceback.FrameSummary]) -> str:
-    """The line of the skill's own file that a thread has come to, "" if that is unknown."""
+    """A thread's current line in the skill's file; "" if unknown."""
     own = next((later.filename for before, later in pairwise(frames) if before.filename == guarded_skill.__file__), "")
     lines = [frame.lineno for frame in frames if frame.filename == own]
     return f"{Path(own).name}, line {lines[-1]}" if lines else ""

@@ -1,6 +1,6 @@
-"""Charts as SVG that is read at any width; colours are the style sheet's, so that they follow the reader's theme.
+"""Charts as SVG for any width; colours come from the style sheet, so that they follow the reader's theme.
 
-Anything with a `data-tip` shows that text when it is pointed at or tapped.
+An element with a `data-tip` shows that text when it is pointed at or tapped.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ __all__ = ["SMALL", "Axes", "Points", "Series", "histogram", "line_chart", "nice
 
 COLOURS: Final = 8  # classes c0 to c7 of the style sheet
 LEFT, RIGHT, TOP, BOTTOM = 54.0, 12.0, 10.0, 34.0
-SMALL: Final = (230.0, 130.0)  # a chart of which several stand side by side
-TIPS: Final = 90  # columns of a chart that tell their numbers
+SMALL: Final = (230.0, 130.0)  # one of several charts side by side
+TIPS: Final = 90  # columns of a chart with tips
 
 
 def percent(share: float) -> str:
@@ -101,7 +101,7 @@ class Axes:
         return drawn
 
     def drawing(self, title: str, *content: Element, klass: str = "") -> Element:
-        """The chart; the title is for those who cannot see it."""
+        """The chart; the title is for readers who cannot see it."""
         box = f"0 0 {self.width:.0f} {self.height:.0f}"
         return tag("svg", *content, view_box=box, role="img", aria_label=title, klass=f"chart {klass}".strip())
 
@@ -196,7 +196,7 @@ def stacked_chart(
 
 
 def histogram(axis: OutcomeEntry, values: Array, size: tuple[float, float] = SMALL) -> Element:
-    """How measured numbers (n,) spread around their target, with the range that counts as good."""
+    """Histogram of measured numbers (n,) around their target, with the tolerated range."""
     low, high = _range(axis, values)
     counts, edges = np.histogram(np.clip(values, low, high), bins=31, range=(low, high))
     axes = Axes(*size, (low, high), (0.0, float(counts.max()) or 1.0), left=RIGHT)

@@ -1,4 +1,4 @@
-"""The whole page: one file that needs nothing else, and that runs no code but its own two scripts."""
+"""The whole page: one file without dependencies, which runs only its own two scripts."""
 
 from __future__ import annotations
 
@@ -40,10 +40,10 @@ def document(title: str, parts: Sequence[Element], footer: str, source: str | No
     """The page as HTML.
 
     Args:
-        title: Of the window.
+        title: The window's title.
         parts: The header, then the sections.
         footer: A line beneath them.
-        source: Where a live page asks for its renewal; None for a page that stays as it is.
+        source: Where a live page fetches updates; None for a static page.
     """
     head, *shown = parts
     lost = tag("span", "connection lost, trying again", id="lost", klass="pill off", hidden=True)

@@ -1,4 +1,4 @@
-"""Trials of any number turned into what the figures of a page show.
+"""Summarises any number of trials for the figures of a page.
 
 Memory and the size of a page do not grow with the run: trials are counted in equal spans, which are joined in pairs
 whenever they become too many, and only the newest trials are kept one by one.
@@ -19,10 +19,10 @@ from crkr.protocol import Array, TaskSpec
 
 __all__ = ["COSTS", "KEPT", "SPANS", "Curve", "Figures", "Newest", "Spans"]
 
-SPANS: Final = 240  # spans of trials before they are joined in pairs
+SPANS: Final = 240  # most spans; then they are joined in pairs
 FIRST_WIDTH: Final = 5  # trials of a span
 COSTS: Final = 25  # cells of [0, 1], of which the middle and the spread of costs are read
-KEPT: Final = 4000  # newest training trials that are kept one by one
+KEPT: Final = 4000  # newest training trials kept one by one
 
 
 @final
@@ -123,7 +123,7 @@ class Newest:
 
 @final
 class Figures:
-    """What a page shows of a run.
+    """The figures of a run.
 
     Attributes:
         spec: Of the task.

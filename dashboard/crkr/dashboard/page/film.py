@@ -17,7 +17,7 @@ __all__ = ["Film", "Shown"]
 
 SHORTEST_S: Final = 1.5  # of a motion on the screen; shorter ones are slowed down
 SLOWER: Final = (1, 2, 5, 10, 20, 50)
-RANGE_S: Final = 120.0  # a newer trial takes the place of one this much older, so that a live film stays of today
+RANGE_S: Final = 120.0  # a newer trial replaces one this much older, so that a live film stays current
 
 
 @final
@@ -26,9 +26,9 @@ class Shown:
     """One trial of the film.
 
     Attributes:
-        caption: What it is, in a line.
-        success: Whether it did what was wanted.
-        cost: In [0, 1]; what is worse than any cost is 2.
+        caption: A description in one line.
+        success: Whether it succeeded.
+        cost: In [0, 1]; 2 is worse than any cost.
         time: When it was played or received [s].
         trace: How things moved.
     """
@@ -43,7 +43,7 @@ class Shown:
 @final
 @dataclass(slots=True)
 class Film:
-    """The best and the worst of the trials that came with a motion.
+    """The best and the worst of the trials with a motion.
 
     Attributes:
         scene: The shapes.
@@ -100,7 +100,7 @@ def _rank(shown: Shown) -> tuple[bool, float]:
 
 
 def _slower(shown: Shown) -> int:
-    """How many times slower it is shown than it was."""
+    """Slow-down factor of the playback."""
     lasts = float(shown.trace.time[-1] - shown.trace.time[0])
     return next((times for times in SLOWER if times * lasts >= SHORTEST_S), SLOWER[-1])
 

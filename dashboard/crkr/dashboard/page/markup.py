@@ -1,4 +1,4 @@
-"""HTML and SVG as trees, so that text from others is always escaped: nothing writes a tag as a string."""
+"""HTML and SVG as trees, so that foreign text is always escaped: tags are never written as strings."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def card(identity: str, title: str, *content: Content, note: str = "", klass: st
 
 
 def table(head: Iterable[str], rows: Iterable[Iterable[Content]], klass: str = "") -> Element:
-    """A table; it scrolls by itself where the screen is narrower."""
+    """A table, which scrolls on a narrow screen."""
     top = tag("tr", *(tag("th", cell, scope="col") for cell in head))
     body = [tag("tr", *(tag("td", cell) for cell in row)) for row in rows]
     return tag("div", tag("table", tag("thead", top), tag("tbody", *body), klass=klass or None), klass="scroll")

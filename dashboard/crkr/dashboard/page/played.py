@@ -1,4 +1,4 @@
-"""The trials that a page's film shows: the best and the worst of the log, played again by the task's skill."""
+"""The trials of a page's film: the best and the worst of the log, replayed by the task's skill."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ logger = logging.getLogger(__name__)
 GROUP: Final = "crkr.films"
 """Group of entry points; `skill` is called with the arguments of `play`."""
 
-KEPT: Final = 8  # of each kind: the motion of some may not be had
+KEPT: Final = 8  # of each kind, as some may have no motion
 KINDS: Final = ("trial", "evaluation")
 
 Goals = Callable[[Any], Any]
@@ -28,11 +28,11 @@ Goals = Callable[[Any], Any]
 
 
 class PlayedTrial(Protocol):
-    """A trial that was played to be shown; nothing of it is stored."""
+    """A trial that was played for display and is not stored."""
 
     @property
     def seq(self) -> int | None:
-        """Log position of the trial that was played again; None for a fresh one."""
+        """Log position of a replayed trial; None for a new one."""
 
     @property
     def cost(self) -> float | None:
@@ -40,7 +40,7 @@ class PlayedTrial(Protocol):
 
     @property
     def success(self) -> bool:
-        """Whether it did what was wanted."""
+        """Whether it succeeded."""
 
     @property
     def reason(self) -> str:
@@ -53,7 +53,7 @@ class PlayedTrial(Protocol):
 
 @final
 class Extremes:
-    """The best and the worst executed trials of a run, of equal ones the newest.
+    """The best and the worst executed trials of a run, the newest among equals.
 
     Attributes:
         best: Successes first, then by cost.
@@ -77,10 +77,10 @@ def play(
     """Play trials of a task by a skill.
 
     Args:
-        skill: Its name; None is the one that the task says it is for, if it is installed.
+        skill: Its name; None: the installed skill that the task names.
         spec: Of the task.
-        stored: Of each of these the first that moves is played again, where the skill can `restore` states.
-        goals: Decides fresh trials, where it cannot.
+        stored: Groups of trials; the first of each with a motion is replayed, if the skill can `restore` states.
+        goals: The policy for new trials, if it cannot.
 
     Raises:
         Unsupported: No installed package plays skills.
@@ -96,7 +96,7 @@ def play(
 def add_film(film: Film, extremes: Extremes, skill: str | None, spec: TaskSpec, goals: Goals | None) -> None:
     """Play trials by a skill for a film; without a scene or motions it stays empty. Arguments and errors as for `play`.
 
-    Where no skill is named and the task's own cannot play, there is no film.
+    There is no film if no skill is named and the task's own cannot play.
     """
     rows = {row.seq: row for row in (*extremes.best, *extremes.worst)}
     stored = [[row.stored for row in kind] for kind in (extremes.best, extremes.worst)]
@@ -117,7 +117,7 @@ def add_film(film: Film, extremes: Extremes, skill: str | None, spec: TaskSpec, 
 
 
 def _caption(trial: PlayedTrial, row: Row | None) -> str:
-    """What a played trial was, in a line."""
+    """A description of a played trial in one line."""
     shown = trial if row is None else row
     told = [] if row is None else [f"number {number(row.seq)} of the log"]
     told += [shown.reason, *([] if shown.cost is None else [f"cost {number(shown.cost, 2)}"])]

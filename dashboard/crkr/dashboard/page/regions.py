@@ -1,4 +1,4 @@
-"""Where in the space of states trials fail: maps of two coordinates, slices of one, and the worst region in words."""
+"""Where trials fail: maps of two coordinates of the state, slices of one, and the worst region in words."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ CLEAR: Final = 3.0  # standard errors
 @final
 @dataclass(frozen=True, slots=True)
 class Region:
-    """A part of the states in which trials succeed clearly less often than elsewhere.
+    """A range of states where trials succeed clearly less often than elsewhere.
 
     Attributes:
-        axis: The coordinate that it is told by.
+        axis: The coordinate that defines it.
         low: Its lower end, or None.
         high: Its upper end, or None.
         inside: Share of successful trials there.
@@ -83,7 +83,7 @@ def _sliced(axis: StateDimension, values: Array, success: Flags) -> tuple[Array,
 
 
 def worst_region(axes: tuple[StateDimension, ...], states: Array, success: Flags) -> Region | None:
-    """The end of one coordinate's range where trials succeed least, if that is no chance."""
+    """The end of one coordinate's range where trials succeed least, if it is significant."""
     found: list[tuple[float, Region]] = []
     for place, axis in enumerate(axes):
         counts, met = _sliced(axis, states[:, place], success)
@@ -128,7 +128,7 @@ def pairs(order: list[int]) -> list[tuple[int, int]]:
 
 
 def state_map(axes: tuple[StateDimension, StateDimension], states: Array, success: Flags) -> Element:
-    """Share of successful trials over two coordinates; states (n, 2). A small square stands for few trials."""
+    """Share of successful trials over two coordinates; states (n, 2). A small square means few trials."""
     width, height = 420.0, 360.0
     across, up = axes
     frame = Axes(width, height, (across.low, across.high), (up.low, up.high))

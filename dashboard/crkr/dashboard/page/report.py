@@ -1,4 +1,4 @@
-"""A page that stays as it is: a task read to its end."""
+"""A static page of a task."""
 
 from __future__ import annotations
 

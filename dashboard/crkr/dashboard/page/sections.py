@@ -1,4 +1,4 @@
-"""The sections of a page that draw, each from the figures of a run."""
+"""The sections of a page with charts, made from the figures of a run."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ __all__ = ["costs", "outcomes", "reasons", "regions", "success", "summary"]
 SHOWN_REASONS: Final = 6
 SHOWN_OUTCOMES: Final = 12
 SHOWN_SLICES: Final = 12
-LEAST: Final = 30  # trials before states are told apart
+LEAST: Final = 30  # least trials for maps of states
 
 
 def summary(figures: Figures) -> Element:
@@ -39,7 +39,7 @@ def summary(figures: Figures) -> Element:
 
 
 def _judged(figures: Figures) -> str | None:
-    """The criterion that the summary speaks of: the last one named, which is the strictest."""
+    """The criterion of the summary: the last and strictest one."""
     return figures.progress.criteria[-1] if figures.progress.criteria else None
 
 
@@ -142,7 +142,7 @@ def _scale() -> Element:
 
 
 def outcomes(figures: Figures) -> Element | None:
-    """How what was measured spreads around its targets; None where the task measures nothing."""
+    """Outcomes around their targets; None where the task measures none."""
     spec, newest = figures.spec, figures.newest
     drawn = []
     for place, axis in list(enumerate(spec.outcome))[:SHOWN_OUTCOMES]:

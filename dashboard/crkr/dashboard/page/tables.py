@@ -1,4 +1,4 @@
-"""What a page says in numbers and tables: the tiles, the workers, the settings."""
+"""Numbers and tables of a page: the tiles, the workers, the settings."""
 
 from __future__ import annotations
 

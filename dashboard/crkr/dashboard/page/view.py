@@ -27,9 +27,9 @@ class PageView:
     """A run as the sections of a page; implements `View`.
 
     Attributes:
-        figures: What is shown of the trials.
-        film: The best and the worst of those that came with a motion.
-        extremes: The best and the worst of the log, where the page does not follow the run.
+        figures: The summary of the trials.
+        film: The best and the worst of the trials with a motion.
+        extremes: The best and the worst trials of the log, for a static page.
     """
 
     def __init__(self, spec: TaskSpec, progress: Progress, *, live: bool = False) -> None:

@@ -1,4 +1,4 @@
-"""How the viewer's panels are arranged, and their colours, which mean the same in each."""
+"""The arrangement of the viewer's panels, and their common colours."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ EYE: Final = "eye"  # the camera of the 3D view; outside "world", so no worker c
 # 0xRRGGBBAA
 SUCCESS: Final = 0x3DDC84FF
 FAILURE: Final = 0xFF5A4FFF
-MEAN: Final = 0xFFCA28FF  # seen on dark and on light ground
+MEAN: Final = 0xFFCA28FF  # visible on dark and light backgrounds
 NEUTRAL: Final = 0x9AA5B1FF
 CRITERIA: Final = (0x4FC3F7FF, 0xFFB74DFF, 0xCE93D8FF, 0xAED581FF)
 LINES: Final = (

@@ -149,6 +149,6 @@ class Curves:
     def _append(self, path: Path, trial: int, epoch: int, value: float, style: Callable[[], Any]) -> None:
         if path not in self._styled:
             self._styled.add(path)
-            self._recording.fixed(path, style())  # made once: it takes longer than all the rest
+            self._recording.fixed(path, style())  # made once, as it takes longer than the rest
         self._rows[path].append((trial, epoch, value))
         self.waiting += 1

@@ -35,14 +35,14 @@ class RerunDisplay:
     Args:
         recording: Where to.
         task: The task's name.
-        replayed: The run is read from its log at once, without what workers publish.
+        replayed: Whether the run is read from its log, without publications.
     """
 
     def __init__(self, recording: Recording, task: str, *, replayed: bool = False) -> None:
         self._recording = recording
         self._task = task
         self._replayed = replayed
-        recording.layout(layout(replayed=replayed))  # first: a viewer with data and no layout makes up its own
+        recording.layout(layout(replayed=replayed))  # first: a viewer with data and no layout invents one
         self._times: dict[str, int] = {"trial": 0, "epoch": 0}
         self._robots = Robots(recording, self._warn)
         self._curves = Curves(recording, self._warn)
@@ -113,7 +113,7 @@ class RerunDisplay:
     def _write_pages(self, progress: Progress, now: float) -> None:
         remark = f"*{NOT_STORED}*" if self._replayed else ""
         age = now - self._answered
-        clock = now if self._replayed else server_time(self._status, age)  # a stored run's times are its clock
+        clock = now if self._replayed else server_time(self._status, age)  # the clock of a stored run is its times
         pages = {
             "status": status_page(self._task, self._status, age, progress, progress.pace.rate(clock), remark),
             "outcomes": outcomes_page(progress),

@@ -45,7 +45,7 @@ class Recording:
             self._stream.set_sinks(*sinks)
 
     def fixed(self, path: Sequence[str], *content: Any) -> None:
-        """Log what holds at all times."""
+        """Log static data."""
         self._stream.log(list(path), *content, static=True)
 
     def at(self, times: Mapping[str, int], path: Sequence[str], *content: Any) -> None:
@@ -104,7 +104,7 @@ class NameLimit:
         self._said = False
 
     def admits(self, name: str, owner: str = "") -> bool:
-        """Whether the name is drawn; a new one is while there is room."""
+        """Whether the name is drawn; a new one is drawn while there is room."""
         if (owner, name) in self._known:
             return True
         if len(self._known) < self._total and self._count[owner] < self._each:

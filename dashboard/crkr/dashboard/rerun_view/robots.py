@@ -34,11 +34,11 @@ __all__ = ["Robots"]
 MAX_WORKERS: Final = 64
 MAX_BODIES: Final = (128, 1024)  # of a worker, and of all
 MAX_PATHS: Final = (16, 256)
-MAX_SCENES: Final = 8  # of a worker: a recording keeps static data forever
+MAX_SCENES: Final = 8  # of a worker, as a recording keeps static data forever
 PATH_RADIUS: Final = -0.6  # negative: Rerun's points on the screen, whatever the distance
 MAX_EARLY: Final = 16
-ALONE_S: Final = 15.0  # without another worker, after which demonstrations get a world
-HOLD_S: Final = 0.3  # for which the last pose of a trial stays
+ALONE_S: Final = 15.0  # time without another worker after which demonstrations get a world
+HOLD_S: Final = 0.3  # time that the last pose of a trial stays
 NO_SCENE: Final = (np.array([-1.0, -1.0, 0.0]), np.array([1.0, 1.0, 1.0]))
 
 

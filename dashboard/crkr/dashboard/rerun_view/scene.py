@@ -1,4 +1,4 @@
-"""The shapes of a scene as Rerun draws them, where each worker's scene stands, and where they are seen from."""
+"""The shapes of a scene for Rerun, the place of each worker's scene, and the camera."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def shapes_by_body(geoms: Sequence[Geom]) -> Iterator[tuple[str, str, Any]]:
 
 
 def bounds(geoms: Sequence[Geom]) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
-    """Corners (3,) of a box [m] around the shapes that do not move, floors aside; around all if there are none."""
+    """Corners (3,) of a box [m] around the static shapes, floors aside; around all if nothing is static."""
     still = [geom for geom in geoms if geom.body == "world" and not _is_floor(geom)] or list(geoms)
     reach = [max(geom.size) if geom.shape != "box" else geom.size for geom in still]
     centres = np.array([geom.position for geom in still])

@@ -1,4 +1,4 @@
-"""A task that a thread follows while somebody looks at its page, and the page's newest form as bytes."""
+"""Follows a task on a thread while somebody views its page, and keeps the newest page as bytes."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ __all__ = ["FollowedTask", "PageBytes"]
 logger = logging.getLogger(__name__)
 
 TICK_S: Final = 0.25
-RENEW_S: Final = 2.0  # between two forms of a page
+RENEW_S: Final = 2.0  # between two versions of a page
 IDLE_S: Final = 60.0  # without a reader, after which the task is no longer followed
 RETRY_S: Final = 1.0
-REST: Final = 1.0  # while a long log is read, the server is asked half of the time at most
+REST: Final = 1.0  # while a long log is read, ask the server half of the time at most
 ENDS_S: Final = 5.0
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class PageBytes:
-    """One form of a page.
+    """One version of a page.
 
     Attributes:
-        version: Changes with each form, also between processes.
+        version: A new one for each, also between processes.
         body: JSON with the version and the parts [[id, HTML], ...].
         packed: The same, compressed by gzip.
     """
@@ -49,7 +49,7 @@ class PageBytes:
 
 @final
 class FollowedTask:
-    """A task's page as it is now. Slow work happens on a thread of its own, so readers get bytes at once."""
+    """A task's current page. Slow work runs on a separate thread, so that readers get bytes at once."""
 
     def __init__(self, connect: Callable[[], Client], spec: TaskSpec) -> None:
         self._connect = connect
@@ -73,7 +73,7 @@ class FollowedTask:
         return self._asked
 
     def look(self) -> PageBytes:
-        """The newest form of the page; asking keeps the task followed."""
+        """The newest version of the page; each call keeps the task followed."""
         self._asked = time.monotonic()
         self._awake.set()
         return self._newest
@@ -88,7 +88,7 @@ class FollowedTask:
         while not self._stop.is_set():
             if not self._is_looked_at():
                 self._awake.clear()
-                if not self._stop.is_set() and not self._is_looked_at():  # a look since then would go unheard
+                if not self._stop.is_set() and not self._is_looked_at():  # a new look would be missed
                     self._awake.wait(IDLE_S)
                 self._view.resume(time.monotonic())
                 continue
@@ -111,7 +111,7 @@ class FollowedTask:
         return time.monotonic() - self._asked < IDLE_S
 
     def _goes_on(self) -> bool:
-        """Make the page anew where that is due; returns whether to follow on."""
+        """Renew the page if it is due; returns whether to continue."""
         if time.monotonic() - self._made >= RENEW_S:
             self._newest = self._render()
         return self._is_looked_at() and not self._stop.is_set()

@@ -1,4 +1,4 @@
-"""The tasks of a server as a site that can only be read: a list of them, and a page for each."""
+"""The tasks of a server as a read-only site: a list, and a page for each."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from crkr.protocol import Busy, CrkrError, Invalid, UnknownTask
 __all__ = ["Site", "application"]
 
 MOST: Final = 16  # tasks followed at once
-IN_USE_S: Final = 30.0  # since the last look, in which a task is not dropped for another
+IN_USE_S: Final = 30.0  # time since the last look before a task may be dropped
 LISTED: Final = 200  # names on one page of the list
 TIMEOUT_S: Final = 2.0
 
@@ -48,7 +48,7 @@ class Site:
         return self._followed.get(name)
 
     def task(self, name: str) -> FollowedTask:
-        """A task, followed from now on; may wait for the server.
+        """Follows a task; may wait for the server.
 
         Raises:
             UnknownTask: No such task.
@@ -56,7 +56,7 @@ class Site:
             Unavailable: The server does not answer.
             Busy: Too many tasks are looked at.
         """
-        with self._changing:  # one question at a time, whatever names are asked for
+        with self._changing:  # one question at a time, for any names
             if name not in self._followed:
                 spec = self._client.task(name).spec
                 self._make_room()
@@ -73,7 +73,7 @@ class Site:
         oldest.close()
 
     def names(self, after: int) -> tuple[list[str], int | None]:
-        """Names of tasks beyond the first `after`, and where to go on."""
+        """Names of tasks beyond the first `after`, and the next `after`."""
         with self._asking:
             page, following = self._client.task_page(after)
         names = [summary["spec"].name for summary in page]
@@ -91,8 +91,8 @@ def application(site: Site, hosts: frozenset[str] | None) -> ASGIApp:
 
     Args:
         site: What it shows.
-        hosts: Names by which it may be asked for; None is any. Refuses other host names, so that a foreign site
-            whose name resolves to this address cannot read the pages.
+        hosts: Allowed host names; None: any. Others are refused, so that a foreign site whose name resolves to this
+            address cannot read the pages.
     """
 
     async def listing(request: Request) -> Response:

@@ -32,7 +32,7 @@ HEAD_BYTES: Final = 16_384
 QUEUED: Final = 512
 POLL_S: Final = 0.1
 ENDS_S: Final = 3.0
-NICE: Final = 5  # whatever shares the machine goes first
+NICE: Final = 5  # everything else on the machine goes first
 LAST_PORT: Final = 65_535
 
 
@@ -45,7 +45,7 @@ def parse_address(given: str) -> tuple[str, int]:
 
 
 def bound(host: str, port: int) -> socket.socket:
-    """A socket that listens; raises `Unavailable` where that cannot be, e.g. as the port is taken."""
+    """A listening socket; raises `Unavailable`, e.g. for a taken port."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     listening = socket.socket(family, socket.SOCK_STREAM)
     try:
@@ -117,14 +117,14 @@ def _wait_for_end(alone: threading.Event) -> None:
 
 
 def _hosts(listening: socket.socket) -> frozenset[str] | None:
-    """Names that readers may ask for: those of loopback where nobody else can connect, else any."""
+    """Allowed host names: those of loopback if only this machine can connect, else any."""
     host = str(listening.getsockname()[0])
     return frozenset({"localhost", "127.0.0.1", "::1", host}) if ipaddress.ip_address(host).is_loopback else None
 
 
 @final
 class _BoundedProtocol(H11Protocol):
-    """A connection that ends after a while, so that silent and slow readers do not hold connections forever."""
+    """A connection with a time limit, so that silent and slow readers do not keep it forever."""
 
     def connection_made(self, transport: Any) -> None:
         """Begin; the end is set."""

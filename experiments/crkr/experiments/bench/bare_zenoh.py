@@ -1,7 +1,7 @@
 """The baseline: a bare Zenoh querier, and a queryable that answers with as many bytes as the server does.
 
 `python -m crkr.experiments.bench.bare_zenoh ENDPOINT BYTES` runs the queryable until its standard input ends. With
-`--samples` it does what no policy server can leave out: decode, compute one prediction, and return the numbers.
+`--samples` it does the minimum of any policy server: decode, compute one prediction, and return the numbers.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ class BareQuerier:
 
 
 def _answer(reply: zenoh.Reply) -> bytes:
-    """The bytes of an answer; raises `Internal` for an error reply, which no measurement should meet."""
+    """The bytes of an answer; raises `Internal` for an error reply."""
     if reply.ok is None:
         said = b"" if reply.err is None else reply.err.payload.to_bytes()
         raise Internal(f"a measured query was refused: {said[:200]!r}")
@@ -80,7 +80,7 @@ def _answer(reply: zenoh.Reply) -> bytes:
 
 
 def bare_prediction(samples: int, reply: bytes) -> Callable[[bytes], bytes]:
-    """The floor of a prediction: a kernel row, a product and a triangular solve, d = 6, p = 13, on made-up numbers.
+    """The minimum of a prediction: a kernel row, a product and a triangular solve, d = 6, p = 13, random numbers.
 
     Args:
         samples: Active samples m.
@@ -108,7 +108,7 @@ def bare_prediction(samples: int, reply: bytes) -> Callable[[bytes], bytes]:
 
 @contextmanager
 def echo_server(reply_bytes: int, samples: int = 0) -> Iterator[str]:
-    """The endpoint of a queryable in a process of its own; with `samples` it computes a prediction for each answer."""
+    """The endpoint of a queryable in another process; with `samples` it computes a prediction for each answer."""
     endpoint = free_endpoint()
     with program("crkr.experiments.bench.bare_zenoh", endpoint, str(reply_bytes), f"--samples={samples}"):
         yield endpoint

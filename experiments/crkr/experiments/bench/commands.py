@@ -113,12 +113,10 @@ def sim(
     skill: Annotated[str, typer.Option(help="table-tennis or throw.")] = "table-tennis",
     as_json: Json = False,
 ) -> None:
-    """Measure trials of a shipped skill: what they cost, and how its environments agree.
+    """Measure trials of a shipped skill: their cost, and how its environments agree.
 
-    Table tennis stands beside bare simulation and beside Clarabel, the throw
-    beside table tennis. States and goals are those of a real run after its
-    first 300 trials. Processor times differ between machines; the ratios
-    should not.
+    Table tennis is compared with bare simulation and with Clarabel, the throw with table tennis. States and goals are
+    those of a real run after its first 300 trials. Processor times differ between machines; the ratios should not.
 
     Example: crkr bench sim --trials 100 --json
     """
@@ -137,9 +135,9 @@ def dashboard(
     workers: Annotated[int, typer.Option("--workers", "-n", min=1, max=64, help="How many there are.")] = 2,
     as_json: Json = False,
 ) -> None:
-    """Measure what watching costs: workers' trials, lag, memory, size of a recording; takes a minute.
+    """Measure the cost of watching: workers' trials, lag, memory, size of a recording; takes a minute.
 
-    Beside each figure stands the same program, following the same task, that draws nothing. No browser is open.
+    Each figure is compared with the same program, following the same task, that draws nothing. No browser is open.
 
     Example: crkr bench dashboard --json
     """

@@ -1,7 +1,7 @@
 """What `crkr bench dashboard` measures, in two parts on one server.
 
-First real workers, in turns unwatched, followed by a program that draws nothing, and watched. Then a steady stream of
-trials, with what those workers published, to a program that draws and to one that does not.
+First real workers, in turn unwatched, followed by a program that draws nothing, and watched. Then a steady stream of
+trials, with those workers' publications, to a program that draws and to one that does not.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ def _warm(task: Task, training: Child) -> None:
 
 
 def _published_trials(task: Task) -> list[bytes]:
-    """What workers publish about the next trials, packed."""
+    """Publications of the workers about the next trials, packed."""
     found: list[bytes] = []
     deadline = time.monotonic() + WARM_S
     with task.subscribe(("trial",)) as subscription:

@@ -1,7 +1,7 @@
 """What `crkr bench growth` measures: what learning costs with many samples and trials beside with few.
 
-Both sides of a ratio run in turns and are timed by the thread's own clock, so that other work on the machine matters
-little. Samples and trials are made up; the figures of servers are in `scale`.
+Both sides of a ratio take turns and are timed by the thread's own clock, so that other load matters little. Samples and
+trials are made up; the figures of servers are in `scale`.
 """
 
 from __future__ import annotations
@@ -146,7 +146,7 @@ def _learner(spec: TaskSpec, count: int, rng: np.random.Generator) -> Learner:
 
 
 def _learned() -> Iterator[Measurement]:
-    """What one core learns in a second, in the groups that come where more wait."""
+    """Successes learned per second of a core, in groups as under load."""
     rng = np.random.default_rng(0)
     learners = {count: _learner(bench_spec(), count, rng) for count in (_FEW, _MANY)}
 

@@ -1,4 +1,4 @@
-"""What learning from outcomes costs: goals that they guide, and learning steps beside those of a task without them.
+"""The cost of learning from outcomes: guided goals, and learning steps beside those of a task without outcomes.
 
 The task has d = 6, p = 13 and 7 outcomes in four groups, as table tennis: one is observed in half of the trials, and a
 tenth of the goals is refused. Times are the thread's own.
@@ -50,7 +50,7 @@ def _spec(groups: Sequence[str]) -> TaskSpec:
 
 
 def _trials(rng: np.random.Generator, slopes: Array, count: int, share: float = 1.0) -> list[Trial]:
-    """Trials of a policy that mostly hits, whose costs are a share of what they are."""
+    """Trials of a policy that mostly hits, with scaled costs."""
     away = rng.uniform(-2, 2, (count, D))
     best = -away @ slopes[:, :D].T @ np.linalg.pinv(slopes[:, D:]).T
     goals = np.clip(best + rng.normal(size=(count, P)) * rng.choice([0.02, 0.1, 0.5], (count, 1)), -3, 3)

@@ -1,7 +1,7 @@
 """What `crkr bench learn` measures: the learner beside scikit-learn and beside the bare matrix operations.
 
-Both sides of a ratio run in turns and are timed by the thread's own clock, so that other work on the machine matters
-little. `crkr` has numpy use one BLAS thread.
+Both sides of a ratio take turns and are timed by the thread's own clock, so that other load matters little. `crkr` has
+numpy use one BLAS thread.
 """
 
 from __future__ import annotations
@@ -114,7 +114,7 @@ def _step(rng: np.random.Generator) -> Measurement:
 
 
 def _bare(regression: Regression, z: Array) -> tuple[Array, Array]:
-    """Mean and variance by nothing but the matrix operations."""
+    """Mean and variance by matrix operations alone."""
     k = np.exp(-0.5 * cdist(z, regression.Z, "sqeuclidean"))
     mean = k @ regression.W
     if len(z) == 1:

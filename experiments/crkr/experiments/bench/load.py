@@ -37,7 +37,7 @@ class Load:
         """Stop sending; returns the numbers of answers and of error replies since the process began.
 
         Raises:
-            Unavailable: The server did not answer any more, so what was measured was not loaded.
+            Unavailable: The server stopped answering, so the measurement was without load.
         """
         self._child.send("stop")
         answers, errors = self._child.receive().split()

@@ -1,4 +1,4 @@
-"""Measurements of a benchmark, their table, and calls timed in turns, so that other load falls on all alike."""
+"""Measurements of a benchmark, their table, and calls timed in turns, so that other load affects all equally."""
 
 from __future__ import annotations
 

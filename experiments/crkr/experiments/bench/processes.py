@@ -46,7 +46,7 @@ class Child:
 
     @property
     def end(self) -> Unavailable | None:
-        """How the process ended and what it said last; None while it runs."""
+        """The end of the process and its last line; None while it runs."""
         status = self._process.poll()
         if status is None:
             return None
@@ -172,7 +172,7 @@ def program(module: str, *arguments: str) -> Iterator[Child]:
 
 
 def say_ready() -> None:
-    """Print "ready": how a program tells that it runs."""
+    """Print "ready", the sign that a program runs."""
     sys.stdout.write("ready\n")
     sys.stdout.flush()
 
@@ -182,7 +182,7 @@ def running_server(data: Path | str) -> Iterator[Client]:
     """A client of a new server on a data directory or a database; the end of the server ends the client's calls.
 
     Raises:
-        Unavailable: The server ended by itself, whatever that made fail in the block.
+        Unavailable: The server ended by itself, whatever failed in the block.
     """
     require("scipy")  # the server needs it
     endpoint = free_endpoint()
@@ -198,7 +198,7 @@ def running_server(data: Path | str) -> Iterator[Client]:
 
 
 def write_log(data: Path, spec: TaskSpec, count: int) -> None:
-    """Have the server's own store write a log of `count` made-up trials.
+    """Have the server's own store write a log of `count` synthetic trials.
 
     Raises:
         Unavailable: It was not written.

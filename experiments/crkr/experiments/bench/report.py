@@ -55,7 +55,7 @@ def _alone(task: Task, bare: BareQuerier, echo: BareQuerier, log: sqlite3.Connec
         "echo": lambda: echo.ask(payload),
         "commit": _commits(log),
     }
-    # One by one: how long a disk takes to sync depends on how long it was left alone, and that must be alike for all.
+    # One by one: the time of a disk's sync depends on the pause before it, which must be equal for all.
     times = {name: p50(found) for name, found in in_turns(calls, 800, 1).items()}
     floor = times["echo"] + times["commit"]
     behind = {f"{name} us": times[name] for name in ("report", "echo", "commit")}
@@ -76,7 +76,7 @@ def _in_flight(bare: BareQuerier, echo: BareQuerier) -> Measurement:
 
 
 def _shared(client: Client, task: Task, bare: BareQuerier, synced: FileIO) -> Iterator[Measurement]:
-    """A server with its log in a database beside the one with a file, in turns, and beside a page synced to the disk.
+    """Compares a server with its log in a database, one with a file, and a page synced to the disk, in turns.
 
     A disk with a limited rate of syncs answers at once or late, so each comes first as often as last.
     """
@@ -111,7 +111,7 @@ def _sync(file: FileIO) -> None:
 
 
 def _bare_log(directory: Path) -> sqlite3.Connection:
-    """A database beside the server's, with its table of trials and its settings, and nothing else."""
+    """A database beside the server's, with only its table of trials and its settings."""
     with closing(sqlite3.connect(next((directory / "data").glob("*.sqlite3")))) as server:
         tables = server.execute("SELECT sql FROM sqlite_master WHERE tbl_name = 'trial' AND sql IS NOT NULL").fetchall()
         rows = server.execute("SELECT * FROM trial").fetchall()

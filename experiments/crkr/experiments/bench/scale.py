@@ -1,4 +1,4 @@
-"""What servers do at scale: many tasks (`crkr bench tasks`), many supervisors, a long log (`crkr bench growth`)."""
+"""Servers at scale: many tasks (`crkr bench tasks`), many supervisors, a long log (`crkr bench growth`)."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def _first_answer(endpoint: str) -> None:
 
 
 def measure_polls(directory: Path, polls: int) -> Iterator[Measurement]:
-    """What looks at the count cost a server that knows one supervisor's workers, and one that knows a hundred's."""
+    """Cost of a look at the count for a server that knows the workers of one supervisor, and of a hundred."""
     with ExitStack() as stack:
         servers: dict[str, tuple[Task, int]] = {}
         for name, workers in (("one", 1), ("hundred", _CROWD)):
@@ -137,7 +137,7 @@ def measure_lag(directory: Path, samples: int, offered_s: float = 20.0) -> Itera
 def measure_trials(
     directory: Path, workers: int = 8, warm: int = _WARM, counted_s: float = _COUNTED_S
 ) -> Iterator[Measurement]:
-    """What a trial of table tennis costs the server of some workers, after the first `warm` trials."""
+    """Cost of a trial of table tennis for the server, after the first `warm` trials."""
     with running_server(directory / "trials") as client, _workers(client, workers):
         task, pid = client.task(_SKILL), _server_process(directory / "trials")
         first, before = _trained(task, warm), _cpu_seconds(pid)

@@ -1,4 +1,4 @@
-"""What `crkr bench sim` measures: the trials of a real run, beside what they cannot do without; throws beside strokes.
+"""What `crkr bench sim` measures: trials of a real run beside their bare minimum; throws beside strokes.
 
 Both sides of a ratio are timed by the process's own clock, trial by trial in turns. `crkr` has numpy use one BLAS
 thread.
@@ -36,8 +36,8 @@ Flags = NDArray[np.bool_]
 
 _WARM: Final = 300  # trials before the measured ones: the active set is then full
 _BATCH: Final = 3000  # trials of the analytic environment at once
-_SHOWN: Final = 20  # planned strokes that the throws are timed beside
-_LANDING: Final = slice(3, 5)  # entries of the outcome that say where the ball landed
+_SHOWN: Final = 20  # planned strokes timed beside the throws
+_LANDING: Final = slice(3, 5)  # entries of the outcome with the landing point
 _THROWN: Final = slice(0, 2)  # the same of a throw
 
 
@@ -124,7 +124,7 @@ def _limits(arm: Arm) -> JointLimits:
 
 @final
 class _BareSteps:
-    """The contact simulation of a goal with everything else prepared."""
+    """The contact simulation of a goal, everything else prepared."""
 
     def __init__(self) -> None:
         self._arm, self._simulation = make_arm(), make_simulation()
@@ -178,12 +178,12 @@ def _agreement(run: Run) -> Iterator[Measurement]:
 
 
 def _verdicts(skill: TableTennis | Throw, run: Run, landing: slice) -> tuple[Flags, Array]:
-    """Success (n,) of a run's trials in a skill's environment, and where the ball landed (n, 2) [m], NaN: nowhere.
+    """Success (n,) of a run's trials in a skill's environment, and landing points (n, 2) [m], NaN: none.
 
     Args:
         skill: Executes.
         run: Its trials.
-        landing: Entries of the outcome that say where.
+        landing: Entries of the outcome with the landing point.
     """
     results = [skill.attempt(state, goal) for state, goal in zip(run.balls, run.goals, strict=True)]
     landings = [np.full(2, np.nan) if one.outcome is None else one.outcome[landing] for one in results]

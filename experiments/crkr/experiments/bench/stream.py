@@ -1,6 +1,6 @@
-"""A program that stands in for many workers: it reports trials at a rate and publishes what real workers did.
+"""A program in the place of many workers: it reports trials at a rate and repeats publications of real ones.
 
-The end of its standard input ends it; it then prints how much it published as one JSON object.
+It ends with its standard input, and then prints the published amount as one JSON object.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ __all__: list[str] = []
 
 WORKERS: Final = 8
 TICK_S: Final = 0.1
-BEFORE: Final = 4500  # trials before the stream: more than a display remembers
+BEFORE: Final = 4500  # trials before the stream, more than a display remembers
 BATCH: Final = 500
 
 

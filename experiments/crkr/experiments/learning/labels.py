@@ -1,4 +1,4 @@
-"""`crkr experiment labels`: a throw learned from nothing, from hits and misses alone, from costs, or from outcomes."""
+"""`crkr experiment labels`: a throw learned without demonstrations, from labels, costs, or outcomes."""
 
 from __future__ import annotations
 

@@ -32,8 +32,8 @@ class Course:
         contexts: Fresh contexts of the final evaluation.
         judge: Seed of these contexts, the same for every run; `crkr evaluate` with this seed has the same ones.
         demonstrations: Number of demonstrations before the first trial.
-        marks: Training trials after which the learning curve has a point, besides the last one; empty: no curve. The
-            curve changes nothing else.
+        marks: Training trials after which the learning curve has a point, besides the last one; empty: no curve. A
+            curve does not change the run.
         watched: Contexts of each of its points, the task's fixed ones.
         settings: Fields of the skill's specification that differ.
     """
@@ -103,7 +103,7 @@ class LearningRun:
 def learn_once(skill: Skill, course: Course, seed: int, selector: SelectorFactory | None = None) -> LearningRun:
     """Learn by the skill's specification and evaluate the result; the same arguments give the same bits.
 
-    A `selector` takes the place of the specification's.
+    A `selector` replaces the specification's.
     """
     training, curve, digest = Counter[str](), list[Score](), sha256()
     filled: int | None = None
@@ -129,7 +129,7 @@ def trained_learner(skill: Skill, course: Course, seed: int, show: Callable[[int
 
 
 def _ignore(_: bytes) -> None:
-    """Take no digest."""
+    """A digest that is not computed."""
 
 
 def _trained_learner(
@@ -142,7 +142,7 @@ def _trained_learner(
     selector: SelectorFactory | None = None,
 ) -> Learner:
     spec = TaskSpec.from_dict({**skill.spec().to_dict(), **dict(course.settings)})
-    learned = Crkr(spec, seed, selector)  # with the ids of a worker: exploration does not depend on other questions
+    learned = Crkr(spec, seed, selector)  # with a worker's ids, so that other questions do not change exploration
     learned.start(demonstrated(skill, course.demonstrations, seed))
     rng = training_rng(seed, 1)
     for trial in range(course.trials):

@@ -1,1 +1,1 @@
-"""What one would use instead of crkr, each behind the same interface and on the same trials."""
+"""Alternatives to crkr, behind one interface and on the same trials."""

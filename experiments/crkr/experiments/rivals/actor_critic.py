@@ -26,7 +26,7 @@ STEPS: Final = 1  # of gradients, a trial
 
 
 class _Spaces(gymnasium.Env[Any, Any]):
-    """What an algorithm is made for: scaled states, offsets; it is never stepped."""
+    """The spaces of states and offsets for an algorithm; it is never stepped."""
 
     def __init__(self, states: int, goals: int) -> None:
         self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (states,), np.float32)

@@ -23,7 +23,7 @@ ISO, LINE = 0.1, 0.2  # deviations of a variation: in all directions [scales], a
 
 @final
 class EliteArchive:
-    """An archive whose measures are the context; the iso-line operator varies the elite nearest to the asked one.
+    """An archive whose measures are the context; the iso-line operator varies the elite nearest to a context.
 
     Elites are offsets from behaviour cloning, so that each serves the contexts around it.
     """

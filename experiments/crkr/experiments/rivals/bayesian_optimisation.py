@@ -35,10 +35,10 @@ SEARCH_STEPS: Final = 40
 
 @final
 class CompositeOptimisation:
-    """A Gaussian process for each entry of the outcome, and the upper confidence bound of what they cost together.
+    """A Gaussian process for each entry of the outcome, and the upper confidence bound of their joint objective.
 
-    Contexts are inputs that the search for a goal holds fixed. Goals are offsets from behaviour cloning, within a
-    trust region. A tenth more trials refit the model: with seven entries that costs a second and more.
+    Contexts are inputs that the search for a goal keeps fixed. Goals are offsets from behaviour cloning, within a trust
+    region. The model is refitted after each tenth more trials, as with seven entries that takes over a second.
     """
 
     def __init__(self, spec: TaskSpec, seed: int) -> None:
@@ -51,7 +51,7 @@ class CompositeOptimisation:
         self._known = 0
 
     def start(self, demonstrations: Sequence[Demonstration]) -> None:
-        """Scales by them, and takes them as the first trials."""
+        """Sets scales from them, and adds them as the first trials."""
         self._offsets = Offsets(self._spec, demonstrations)
         self._sides = torch.as_tensor(self._offsets.scales.side)
         for shown in demonstrations:
@@ -69,7 +69,7 @@ class CompositeOptimisation:
         return goal
 
     def tell(self, state: Array, goal: Array, result: TrialResult) -> None:
-        """Keeps what was measured."""
+        """Adds the outcome."""
         if result.outcome is not None:
             x = np.concatenate([self._offsets.scales.states(state), self._offsets.of(state, goal)])
             self._trials.append((x, self._offsets.scales.outcomes(result.outcome)))
@@ -118,9 +118,7 @@ class CompositeOptimisation:
     def _processes(self) -> Iterator[SingleTaskGP]:
         x, y = (np.array(part) for part in zip(*self._trials, strict=True))
         noise = NOISE**2 * (1 + y**2)
-        unseen = ~np.isfinite(y).any(
-            axis=0
-        )  # a process needs a trial: one at the target, with a noise that says nothing
+        unseen = ~np.isfinite(y).any(axis=0)  # a process needs a trial: one at the target, with a huge noise
         y[0, unseen], noise[0, unseen] = 0.0, 1e6
         for entry, variance in zip(y.T, noise.T, strict=True):
             seen = np.isfinite(entry)

@@ -1,4 +1,4 @@
-"""Optimisers of black boxes, which know no contexts: one for the contexts around each demonstration."""
+"""Black-box optimisers, which know no contexts: one for the contexts around each demonstration."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ __all__ = ["FixedContexts", "nevergrad_tbpsa", "optuna_tpe"]
 
 REACH: Final = 2.0  # of the offsets that are searched [scales of the goal]
 START: Final = 0.3  # deviation of the first offsets
-BUDGET: Final = 300  # trials that Nevergrad is told to expect in each optimiser
+BUDGET: Final = 300  # Nevergrad's budget of each optimiser
 
 
 class Optimiser(Protocol):
     """Minimises the cost of one vector (p,), each entry within REACH."""
 
     def ask(self) -> Array:
-        """What to try next."""
+        """The next vector."""
 
     def tell(self, cost: float) -> None:
-        """The cost of what was asked for last."""
+        """Takes the cost of the last vector."""
 
     def best(self) -> Array:
-        """What it recommends."""
+        """The recommended vector."""
 
 
 @final
@@ -49,17 +49,17 @@ class FixedContexts:
         self._optimisers = [self._make(count, len(states) * self._seed + number) for number in range(len(states))]
 
     def ask(self, state: Array) -> Array:
-        """What the nearest demonstration's optimiser asks for."""
+        """The next goal of the nearest demonstration's optimiser."""
         goal: Array = self._offsets.goals(state[None, :], self._optimiser(state).ask()[None, :])[0]
         return goal
 
     def tell(self, state: Array, goal: Array, result: TrialResult) -> None:
         """Tells that optimiser the cost."""
-        del goal  # Unused: it is the one that was asked for.
+        del goal  # Unused: it is the goal of the last `ask`.
         self._optimiser(state).tell(cost_of(result))
 
     def policy(self, states: Array) -> Array:
-        """What the nearest demonstrations' optimisers recommend."""
+        """The recommendations of the nearest demonstrations' optimisers."""
         best = np.array([one.best() for one in self._optimisers])
         return self._offsets.goals(states, best[self._nearest.query(self._scales.states(states))[1]])
 
@@ -99,7 +99,7 @@ class _Optuna:
 
 @final
 class _Nevergrad:
-    """TBPSA, which Nevergrad recommends where the same point does not always cost the same."""
+    """TBPSA, which Nevergrad recommends for noisy costs."""
 
     def __init__(self, count: int, seed: int) -> None:
         import nevergrad

@@ -1,4 +1,4 @@
-"""`crkr experiment rivals`: crkr beside what one would use instead, on the same trials."""
+"""`crkr experiment rivals`: crkr beside its alternatives, on the same trials."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def rivals(
     out: Annotated[Path | None, typer.Option(file_okay=False, help="Keep and go on with rivals.csv here.")] = None,
     json: Json = False,
 ) -> None:
-    """Compare crkr with what one would use instead.
+    """Compare crkr with its alternatives.
 
     Every rival gets the same demonstrations, training contexts and judged
     contexts, and the outcome where it can use it. Some need the extra

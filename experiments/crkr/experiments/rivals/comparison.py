@@ -62,7 +62,7 @@ PACKAGES: Final = {
 @final
 @dataclass(frozen=True, slots=True)
 class Contest:
-    """What all rivals are given alike.
+    """The common conditions of all rivals.
 
     Attributes:
         marks: Numbers of training trials at which the policy is judged, ascending; the last one ends a run.

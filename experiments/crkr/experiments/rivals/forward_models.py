@@ -1,4 +1,4 @@
-"""Learn what a goal leads to, then search for the goal whose predicted outcome is on target."""
+"""Forward models: learn the outcome of a goal, then search for the goal with the predicted outcome on target."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ __all__ = ["REFIT", "ForwardModel", "Surface", "SurfaceFit", "bayesian_quadratic
 
 SurfaceFit = Callable[[Array], tuple[Array, Array]]  # x (b, n) -> outcomes (b, q) and their slopes (b, q, n)
 
-STEPS: Final = 12  # of Gauss-Newton; more change no goal by a thousandth of its scale
+STEPS: Final = 12  # of Gauss-Newton; further ones change a goal by less than a thousandth of its scale
 DAMPING: Final = 1e-6
 CLONING_RIDGE: Final = 0.1
 REFIT: Final = 1.02
-LONE_NOISE: Final = 0.3  # after one demonstration, whose goal alone shows no slope; tuned on seeds 40 and 41
+LONE_NOISE: Final = 0.3  # after one demonstration, which shows no slope; tuned on seeds 40 and 41
 
 
 class Surface(Protocol):
@@ -38,14 +38,14 @@ class Surface(Protocol):
 
 @final
 class ForwardModel:
-    """A model of the outcome, inverted by Gauss-Newton around what successes had in common.
+    """A model of the outcome, inverted by Gauss-Newton around a regression of successes.
 
     Args:
         spec: The task; it must have outcomes.
         seed: Of the noise that explores.
         surface: Makes the model's surface for a number of outcome entries and one of inputs.
         noise: Its standard deviation in scales of the goal.
-        trust: How many scales of a goal are as bad as one tolerance of the outcome.
+        trust: Scales of a goal that count as much as one tolerance of the outcome.
     """
 
     def __init__(
@@ -59,7 +59,7 @@ class ForwardModel:
         self._successes: list[tuple[Array, Array]] = []
 
     def start(self, demonstrations: Sequence[Demonstration]) -> None:
-        """Scales everything by them, and takes them as successes."""
+        """Sets scales from them, and adds them as successes."""
         self._scales = TaskScales(self._spec, demonstrations)
         shape = len(self._spec.outcome), len(self._spec.state) + len(self._spec.goal)
         self._surface = self._make_surface(*shape)
@@ -75,7 +75,7 @@ class ForwardModel:
         return np.asarray(np.clip(goal, self._scales.low, self._scales.high))
 
     def tell(self, state: Array, goal: Array, result: TrialResult) -> None:
-        """Adds what was observed; successes also move the goals that are searched around."""
+        """Adds the outcome; successes also move the centre of the search."""
         z, g = self._scales.states(state), self._scales.goals(goal)
         if result.outcome is not None:
             self._surface.add(np.concatenate([z, g]), self._scales.outcomes(result.outcome))
@@ -167,7 +167,7 @@ def bayesian_quadratic(spec: TaskSpec, seed: int) -> ForwardModel:
 
 @final
 class _RidgeSurface:
-    """scikit-learn's Ridge on PolynomialFeatures(2), fitted anew when a fiftieth more is known."""
+    """scikit-learn's Ridge on PolynomialFeatures(2), refitted after each fiftieth more trials."""
 
     def __init__(self, entries: int, size: int, alpha: float) -> None:
         self._entries, self._size, self._alpha = entries, size, alpha
@@ -194,5 +194,5 @@ class _RidgeSurface:
 
 
 def ridge_quadratic(spec: TaskSpec, seed: int) -> ForwardModel:
-    """What a practitioner writes first with scikit-learn: polynomial ridge regression, explored by noise on goals."""
+    """A practitioner's first attempt with scikit-learn: polynomial ridge regression, explored by noise on goals."""
     return ForwardModel(spec, seed, partial(_RidgeSurface, alpha=1.0), noise=0.1, trust=4.0)

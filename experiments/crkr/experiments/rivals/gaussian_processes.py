@@ -17,23 +17,23 @@ from crkr.protocol import Array, TaskSpec
 __all__ = ["global_gp"]
 
 NOISE: Final = 0.1  # [tolerances], and as a share of the distance from the target
-EVIDENCE: Final = 300  # trials at most from which a kernel's parameters are found; each costs the cube of their number
+EVIDENCE: Final = 300  # most trials for the fit of a kernel, which takes cubic time
 STEPS: Final = 30
 
 
 def _descend(objective: Any, start: Array, bounds: Array) -> tuple[Array, float]:
-    """The search for a kernel's parameters, without scikit-learn's warning where it is cut short."""
+    """The search for a kernel's parameters, without scikit-learn's warning of an early end."""
     found = minimize(objective, start, jac=True, bounds=bounds, method="L-BFGS-B", options={"maxiter": STEPS})
     return found.x, float(found.fun)
 
 
 @final
 class _GaussianProcesses:
-    """Fitted anew when a fiftieth more is known; kernels by their evidence when the number of trials has doubled."""
+    """Refitted after each fiftieth more trials; kernels by their evidence after each doubling."""
 
     def __init__(self, entries: int, size: int) -> None:
         del size  # Unused.
-        # A quadratic and what bends otherwise: x (n,), 0.1 of it in scales at first.
+        # A quadratic plus a squared exponential of x (n,), with weight 0.1 at first.
         start = ConstantKernel(1.0, (1e-4, 1e4)) * RBF(3.0, (0.5, 100.0))
         start += ConstantKernel(1.0, (1e-4, 1e4)) * DotProduct(1.0, (1e-2, 1e2)) ** 2 + WhiteKernel(0.01, (1e-4, 10.0))
         self._kernels = [start] * entries

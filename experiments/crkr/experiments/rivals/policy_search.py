@@ -17,9 +17,9 @@ from crkr.sim_worker.skill import Demonstration, TrialResult
 
 __all__ = ["LinearGaussianSearch", "SuccessRegression", "contextual_cma_es", "contextual_reps"]
 
-BATCH: Final = 40  # trials; fewer say too little of 13 times 7 gains
+BATCH: Final = 40  # trials; fewer are not enough for 13 times 7 gains
 EPSILON: Final = 0.5  # bound of the relative entropy of a step
-NEWEST: Final = 400  # successes of a regression; exact ones cost the cube of their number
+NEWEST: Final = 400  # successes of a regression, which takes cubic time
 
 
 @final
@@ -142,7 +142,7 @@ def _reps_step(search: LinearGaussianSearch, features: Array, goals: Array, cost
     off = goals - features @ search.gain
     size = len(search.covariance)
     effective = 1 / (weights**2).sum()
-    share = effective / (effective + size)  # few effective trials say little of a covariance
+    share = effective / (effective + size)  # few effective trials do not determine a covariance
     widened = share * (off.T * weights) @ off + (1 - share) * search.covariance + 1e-6 * np.eye(size)
     search.covariance = np.asarray(widened, np.float64)
 

@@ -1,4 +1,4 @@
-"""The interface of everything that learns a skill by trials, crkr's learner among them."""
+"""The interface of methods that learn a skill by trials, crkr's learner included."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ DESIGN: Final = 10  # trials; of 10, 20 and 40 the best for forward models of th
 
 
 class Rival(Protocol):
-    """Learns goals for states from trials, in the order that they were made.
+    """Learns goals for states from trials, in their order.
 
-    A rival is made with a specification and a seed, both of which fix what it does. Goals are within their bounds.
+    Its behaviour is a function of specification and seed. Goals are within their bounds.
     """
 
     def start(self, demonstrations: Sequence[Demonstration]) -> None:
@@ -30,7 +30,7 @@ class Rival(Protocol):
         """The goal (p,) to try in a state (d,), with exploration."""
 
     def tell(self, state: Array, goal: Array, result: TrialResult) -> None:
-        """Takes the result of the goal that was asked for last."""
+        """Takes the result of the last goal."""
 
     def policy(self, states: Array) -> Array:
         """The best goals (b, p) for states (b, d), without exploration; changes nothing."""
@@ -38,9 +38,9 @@ class Rival(Protocol):
 
 @final
 class TaskScales:
-    """States, goals and outcomes in units in which a task's entries are alike.
+    """Scales of states, goals and outcomes in which a task's entries are comparable.
 
-    States are in the demonstrations' standard deviations around their mean (a length-scale where these say nothing),
+    States are in the demonstrations' standard deviations around their mean (a length-scale where these are zero),
     goals in their scales around it, outcomes in their tolerances from the target.
     """
 
@@ -103,13 +103,13 @@ class Offsets:
 
 
 def cost_of(result: TrialResult) -> float:
-    """The cost for what knows no outcome; 1 where nothing was executed or measured."""
+    """The cost for methods without outcomes; 1 if nothing was executed or measured."""
     return 1.0 if result.cost is None else float(result.cost)
 
 
 @final
 class InitialDesign:
-    """A rival without demonstrations: random goals within the bounds first, from whose trials it then starts."""
+    """A rival without demonstrations: it starts from trials of random goals within the bounds."""
 
     def __init__(self, rival: Rival, spec: TaskSpec, seed: int) -> None:
         self._rival, self._rng = rival, np.random.default_rng((seed, 1))
@@ -120,7 +120,7 @@ class InitialDesign:
         """There are no demonstrations."""
 
     def ask(self, state: Array) -> Array:
-        """A uniform draw, or what the rival asks for."""
+        """A uniform draw, or the rival's goal."""
         return self._rng.uniform(self._low, self._high) if self._short else self._rival.ask(state)
 
     def tell(self, state: Array, goal: Array, result: TrialResult) -> None:
@@ -145,7 +145,7 @@ class InitialDesign:
 
 @final
 class Crkr:
-    """crkr's own learner, as a worker uses it; a `selector` takes the place of the specification's."""
+    """crkr's own learner, as a worker uses it; a `selector` replaces the specification's."""
 
     def __init__(self, spec: TaskSpec, seed: int, selector: SelectorFactory | None = None) -> None:
         self.learner = Learner(TaskSpec.from_dict({**spec.to_dict(), "seed": seed}), selector=selector)

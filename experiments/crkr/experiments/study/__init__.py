@@ -1,1 +1,1 @@
-"""Rules for the active set beside ANMS, and what each learns with the same trials."""
+"""Compares rules for the active set with ANMS on the same trials."""

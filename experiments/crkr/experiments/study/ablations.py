@@ -1,7 +1,6 @@
-"""The learner with one part left out or changed: other settings, or less told to it.
+"""The learner with one part left out or changed: other settings, or less information.
 
-Every part is a setting that the specification has already, or a change of what the learner is told. Nothing in the
-learner knows of this.
+Every change is a setting of the specification, or a filter on the learner's input; the learner has no code for it.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from crkr.sim_worker.skill import Demonstration, TrialResult
 __all__ = ["ABLATIONS", "WHOLE", "Ablation"]
 
 Told = Callable[[TaskSpec, TrialResult, np.random.Generator], TrialResult | None]
-"""What the learner is told of a trial; None: nothing."""
+"""The learner's input from a trial; None: nothing."""
 
 WHOLE: Final = "whole"
 CHANGED_AFTER: Final = 200  # trials
@@ -34,10 +33,10 @@ class Ablation:
 
     Attributes:
         settings: Fields of the specification that differ; `exploration` and `kernel` are merged into those there.
-        told: Changes what it is told; None: nothing is changed.
+        told: Filters its input; None: no change.
         outcome: Declares other outcomes than the specification; None: its own.
-        demonstrations: The most that it is shown; None: all.
-        offset: What the robot adds to the goal's first entry from trial 200 on, unknown to the learner [scales].
+        demonstrations: Largest number of demonstrations; None: all.
+        offset: Offset that the robot adds to the goal's first entry from trial 200 on, unknown to the learner [scales].
     """
 
     settings: Mapping[str, Any] = field(default_factory=dict)
@@ -68,7 +67,7 @@ class _AblatedLearner:
         self._step[0] = ablation.offset * spec.scales[0]
 
     def start(self, demonstrations: Sequence[Demonstration]) -> None:
-        """Shows some of them, changed as trials are."""
+        """Passes some of them on, filtered like trials."""
         shown = [(one, self._told(one.result)) for one in demonstrations[: self._ablation.demonstrations]]
         self._learner.start([replace(one, result=told) for one, told in shown if told is not None])
 
@@ -77,7 +76,7 @@ class _AblatedLearner:
         return self._moved(self._learner.ask(state))
 
     def tell(self, state: Array, goal: Array, result: TrialResult) -> None:
-        """Tells it, changed or not at all."""
+        """Passes the trial on, filtered."""
         self._trials += 1
         told = self._told(result)
         if told is not None:
@@ -140,13 +139,13 @@ def _observed(spec: TaskSpec, result: TrialResult, rng: np.random.Generator, *, 
 
 
 def _executed(spec: TaskSpec, result: TrialResult, rng: np.random.Generator) -> TrialResult | None:
-    """Nothing of refused goals."""
+    """Drops refused goals."""
     del spec, rng  # Unused.
     return result if result.executed else None
 
 
 def _bare_refusal(spec: TaskSpec, result: TrialResult, rng: np.random.Generator) -> TrialResult:
-    """That a goal was refused, without what it would have led to."""
+    """Keeps a refusal without its predicted outcome."""
     del rng  # Unused.
     return result if result.executed else replace(result, outcome=np.full(len(spec.outcome), np.nan))
 

@@ -3,8 +3,8 @@
     Z  (n, d)  standardised states of all samples      u  (m,)    positions of the samples that ANMS keeps
     Y  (n, p)  scaled goals minus their prior mean     N  (n,)    noise variances
 
-A selector chooses samples before the query is known, and the learner regresses on these alone. What is here uses other
-samples for every query, or all of them, so it is no selector. It learns as preset `paper` does, from the same draws.
+A selector chooses samples before the query is known, and the learner regresses on these alone. An approximator uses
+other samples for every query, or all of them. It learns as preset `paper` does, from the same draws.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def exact(kernel: Kernel, Z: Array, Y: Array, N: Array, u: Indices) -> Posterior
 
 
 def deterministic_training(kernel: Kernel, Z: Array, Y: Array, N: Array, u: Indices) -> Posterior:
-    """All samples, seen through inducing points where ANMS keeps some  [Quinonero2005, DTC].
+    """All samples, with ANMS's choice as inducing points  [Quinonero2005, DTC].
 
     SGPR with these inducing points has the same means and variances; it differs in how it would choose the kernel.
     """
@@ -90,7 +90,7 @@ class ApproximateLearner:
     """A `Rival` that regresses by an approximator; without outcomes, as in the paper.
 
     Args:
-        spec: The task, with budget, trade-off, kernel and prior mean; its outcomes are not looked at.
+        spec: The task, with budget, trade-off, kernel and prior mean; its outcomes are ignored.
         seed: Of the draws.
         approximator: Regresses on the successes.
     """
@@ -106,7 +106,7 @@ class ApproximateLearner:
         self._posterior: Posterior | None = None
 
     def start(self, demonstrations: Sequence[Demonstration]) -> None:
-        """Takes them as successes; their mean goal is the prior's where the task says so."""
+        """Adds them as successes; their mean goal is the prior's if the task says so."""
         own, prior = self._spec, np.zeros(len(self._spec.goal))
         if own.prior_mean == "demonstrations":
             prior = np.mean([shown.goal for shown in demonstrations], axis=0)

@@ -1,4 +1,4 @@
-"""`crkr experiment study` and `ablation`: ways to choose samples, and parts of the learner, with the same trials."""
+"""`crkr experiment study` and `ablation`: compare selection rules, and parts of the learner, on the same trials."""
 
 from __future__ import annotations
 

@@ -25,14 +25,14 @@ def make_runs(
     rows: Rows, settings: Mapping[str, Any], contest: Contest, ways: Mapping[str, Maker], seeds: Sequence[int],
     jobs: int, on: str,
 ) -> dict[str, float]:  # fmt: skip
-    """Makes the runs that are missing, once more where a process died.
+    """Makes missing runs, and repeats those of a dead process once.
 
     Args:
         rows: Where they are kept, in order at the end.
         settings: `skill`, `environment`, `launcher` and `preset`.
-        contest: What all are given alike.
-        ways: Name -> what makes a learner.
-        seeds: One a run of each way.
+        contest: The common conditions.
+        ways: Name -> function that makes a learner.
+        seeds: One for each run of each way.
         jobs: How many processes.
         on: Where: "here" or "ray".
 

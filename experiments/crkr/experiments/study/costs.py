@@ -1,7 +1,7 @@
-"""What a trial costs by the number of samples: one more success learned, and one goal asked for.
+"""Cost of a trial by the number of samples: learning one more success, and asking for one goal.
 
-Every number is a mean of processor time, as some trials change the active set and others do not. Ways take turns, so
-that other work on the machine matters alike to all.
+Every number is a mean of processor time, as only some trials change the active set. Ways take turns, so that other load
+affects all equally.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ ROUNDS: Final = 30
 
 @final
 class AppendedRows:
-    """Regression on all samples as cheap as it can be: the factor grows by a row, and nothing is made anew.
+    """Regression on all samples at the least cost: the factor grows by a row, and nothing is recomputed.
 
     L is kept packed, row by row, and beside it B = L^-1 Y, so that a new sample is one triangular solve and so is a
     prediction, with mean b.B and variance k(z, z) - b.b for b = L^-1 k(z).
@@ -90,7 +90,7 @@ def trial_costs(ways: Mapping[str, Way], size: int, rounds: int = ROUNDS) -> dic
 
 
 def _samples(spec: TaskSpec) -> Iterator[tuple[Array, Array, float]]:
-    """States of the task's box, goals that follow them, and costs that fall slowly, as while a task is learned."""
+    """States in the task's box, goals that depend on them, and costs that fall slowly, as during learning."""
     rng = np.random.default_rng(0)
     low, high = (np.array([getattr(axis, side) for axis in spec.state]) for side in ("low", "high"))
     mixing = rng.normal(size=(len(spec.state), len(spec.goal)))

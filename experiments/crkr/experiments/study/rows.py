@@ -1,4 +1,4 @@
-"""Judged policies as rows of a CSV file, to which a comparison adds until it is complete, and their summary."""
+"""Judged policies as rows of a CSV file that a comparison completes, and their summary."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Row:
     """One policy, judged once.
 
     Attributes:
-        way: What learned it, e.g. a rival's name.
+        way: The method, e.g. a rival's name.
         seed: Of demonstrations, training contexts and exploration.
         trials: Training trials that it had learned from.
         successes: Judged contexts that succeeded by one criterion of the skill, its last and strictest unless told.
@@ -75,7 +75,7 @@ class Rows:
 
     Args:
         folder: Where to keep them; None keeps nothing.
-        name: Of the file, e.g. rivals.csv; the settings stand beside it as rivals.json.
+        name: Of the file, e.g. rivals.csv; the settings are in rivals.json beside it.
         settings: What all rows have in common, as plain data.
 
     Raises:
@@ -107,7 +107,7 @@ class Rows:
         _write(self._path, rows, "a")
 
     def sort(self) -> None:
-        """Puts the rows of the file in order, so that it does not tell which process was quicker."""
+        """Sorts the rows of the file, so that it does not depend on the processes' speed."""
         self.all.sort(key=lambda row: (row.way, row.seed, row.trials))
         if self._path is not None and self.all:
             partial = self._path.with_suffix(".partial")
@@ -124,7 +124,7 @@ def _write(path: Path, rows: Iterable[Row], mode: str) -> None:
 
 
 def _check_settings(path: Path, settings: Mapping[str, Any]) -> None:
-    """Writes the settings, or compares them with those that are there."""
+    """Writes the settings, or compares them with existing ones."""
     if not path.exists():
         path.write_text(json.dumps(settings, indent=1) + "\n", encoding="utf-8")
         return
@@ -231,7 +231,7 @@ def compare(
 
 
 def comparison_cell(found: Comparison | None, field: str) -> str:
-    """One number of a comparison with its interval, for a table; nothing where there is none."""
+    """One number of a comparison with its interval, for a table; empty without one."""
     if found is None:
         return ""
     value, low, high = getattr(found, field)

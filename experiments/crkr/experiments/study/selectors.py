@@ -1,4 +1,4 @@
-"""Rival rules for the active set: each is a function of all samples in their order, taken anew after every change."""
+"""Rival rules for the active set: each is a function of all ordered samples, evaluated after every change."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ NOISE_FLOOR: Final = 1e-4
 
 @final
 class RuleSelector:
-    """A `Selector` that applies a rule to all its samples; a change costs what the rule does."""
+    """A `Selector` that applies a rule to all its samples at each change."""
 
     def __init__(self, dimensions: int, budget: int, rule: Rule) -> None:
         self._budget, self._rule = budget, rule
@@ -54,7 +54,7 @@ class RuleSelector:
         self._active = None
 
     def remove(self, indices: Indices | int) -> None:
-        """Forgets samples."""
+        """Removes samples."""
         self._there[indices] = False
         self._active = None
 
@@ -64,23 +64,23 @@ class RuleSelector:
         self._active = None
 
     def rebuild(self, Z: Array, costs: Array, radii: Radii | None = None) -> None:
-        """Takes these samples instead."""
+        """Replaces all samples by these."""
         del radii  # Unused: there are none.
         self._Z, self._costs, self._there = Z.copy(), costs.copy(), np.ones(len(costs), bool)
         self._active = None
 
     def set_budget(self, budget: int) -> None:
-        """Changes how many samples may be active."""
+        """Changes the number of samples that may be active."""
         self._budget = budget
         self._active = None
 
     def standing(self, index: int) -> Standing:
-        """Nothing is known of single samples."""
+        """None: rules have no status of single samples."""
         del index  # Unused.
         return Standing(None, None)
 
     def radii(self) -> None:
-        """None: there is nothing to keep."""
+        """None: there are no radii."""
 
 
 def recency(Z: Array, costs: Array, budget: int) -> Indices:
@@ -90,7 +90,7 @@ def recency(Z: Array, costs: Array, budget: int) -> Indices:
 
 
 def reservoir(Z: Array, costs: Array, budget: int) -> Indices:
-    """A uniform random choice that new samples enter with the right chance: the least hashes of states."""
+    """A uniform random choice, also for new samples: the least hashes of states."""
     del costs  # Unused.
     keys = [blake2b(row.tobytes(), digest_size=8).digest() for row in np.ascontiguousarray(Z)]
     return np.array(sorted(range(len(keys)), key=keys.__getitem__)[:budget])
@@ -113,7 +113,7 @@ def farthest_point(Z: Array, costs: Array, budget: int) -> Indices:
 
 
 def cover(Z: Array, costs: Array, budget: int) -> Indices:
-    """The cheapest samples that are no nearer to each other than a radius, the least one that keeps to the budget."""
+    """The cheapest samples at least a radius apart; the radius is the least one within the budget."""
     order = np.argsort(costs, kind="stable")
     apart = cdist(Z[order], Z[order])
 
@@ -134,7 +134,7 @@ def cover(Z: Array, costs: Array, budget: int) -> Indices:
 
 
 def information_gain(Z: Array, costs: Array, budget: int) -> Indices:
-    """Greedily the sample with the largest variance for its noise, by a pivoted Cholesky factorisation.
+    """Greedily the sample with the largest variance relative to its noise, by pivoted Cholesky factorisation.
 
     The noise of a sample is its cost, as in Cost-regularized Kernel Regression with lambda of one.
     """
@@ -154,7 +154,7 @@ def information_gain(Z: Array, costs: Array, budget: int) -> Indices:
 
 
 def dominated_novelty(Z: Array, costs: Array, budget: int) -> Indices:
-    """Samples that are far, on the mean, from their three nearest better ones."""
+    """Samples with the largest mean distance to their three nearest better ones."""
     order = np.argsort(costs, kind="stable")
     apart = cdist(Z[order], Z[order])
     apart[np.triu_indices(len(order))] = np.inf  # worse ones, and itself
@@ -168,8 +168,8 @@ def dominated_novelty(Z: Array, costs: Array, budget: int) -> Indices:
 def splits(Z: Array, costs: Array, budget: int) -> Indices:
     """The cheapest sample of each cell; the fullest cell is split at the median of its longest side.
 
-    A learner that splits [Cardoso2017, its reference 11] answers from the samples of one cell. Which these are depends
-    on the query, so they are no active set; this rule keeps the best of every cell instead.
+    A learner that splits [Cardoso2017, its reference 11] answers from the samples of one cell. These depend on the
+    query, so they are not an active set; this rule keeps the best sample of every cell instead.
     """
     cells = [(-len(Z), 0, np.arange(len(Z)))]
     heapify(cells)
@@ -184,11 +184,11 @@ def splits(Z: Array, costs: Array, budget: int) -> Indices:
 
 @final
 class Independence:
-    """A dictionary that a new sample enters in the place of the least independent one  [NguyenTuong2011].
+    """A dictionary in which a new sample replaces the least independent one  [NguyenTuong2011].
 
-    Independence is what the others leave open of a sample: 1 / diag(K^-1), for the kernel matrix K with a small noise.
-    The rule is blind to costs. It depends on the order of arrival, so it goes on from the samples that it was asked
-    about last where they lead the new ones.
+    Independence of a sample is its variance given the others: 1 / diag(K^-1), for the kernel matrix K with a small
+    noise. The rule ignores costs. It depends on the order of arrival, so it continues from the last samples if the new
+    ones begin with them.
     """
 
     def __init__(self) -> None:
@@ -208,7 +208,7 @@ class Independence:
 
     @staticmethod
     def _least(Z: Array) -> int:
-        """Position of the least independent row; the newest of equal ones."""
+        """Position of the least independent row, the newest among equals."""
         K = np.exp(-0.5 * cdist(Z, Z, "sqeuclidean"))
         K.flat[:: len(K) + 1] += NOISE_FLOOR
         factor, _ = lapack.dpotrf(K.T, lower=1, overwrite_a=1)

@@ -1,4 +1,4 @@
-"""What the skills of the arm share: options, situations, strokes to a goal, refused goals, demonstrations."""
+"""The common part of the arm's skills: options, situations, strokes to a goal, refused goals, demonstrations."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from crkr.sim_worker.skill import Demonstration, SkillOptions, TrialResult
 
 __all__ = ["ArmSkill", "RefusedGoal", "choice"]
 
-SPARE_TIMES: Final = (-0.5, 0.3)  # [s]; what is farther off says no more
-DRAWS: Final = 20  # situations tried for each demonstration wanted, at most
+SPARE_TIMES: Final = (-0.5, 0.3)  # [s]; larger values count as this
+DRAWS: Final = 20  # most situations tried per demonstration
 
 
 class Launcher(Protocol):
@@ -41,21 +41,21 @@ class RefusedGoal(Exception):
         self.reason, self.detail, self.clearance = reason, detail, clearance
 
     def result(self, outcome: Array | None = None, **info: Any) -> TrialResult:
-        """The trial's result, with what can be told of its outcome (q,)."""
+        """The trial's result, with the known part of its outcome (q,)."""
         told = {"reason": self.reason, "detail": self.detail, **info}
         return TrialResult(cost=None, success=False, executed=False, outcome=outcome, info=told)
 
 
 class ArmSkill(ABC):
-    """The base of the skills in which the arm makes one stroke from its home to a goal.
+    """Base of skills in which the arm makes one stroke from its home to a goal.
 
     Args:
         spec: The task specification.
         options: The options in force.
         launcher: Draws situations.
-        arm: What moves.
+        arm: The arm.
         home: (6,) joint positions before the stroke [rad].
-        aim: Gives a goal's joint positions (6,) [rad], velocities (6,) [rad/s] and time [s].
+        aim: Returns a goal's joint positions (6,) [rad], velocities (6,) [rad/s] and time [s].
     """
 
     def __init__(
@@ -88,7 +88,7 @@ class ArmSkill(ABC):
         return self._situation.copy()
 
     def restore(self, state: Array) -> None:
-        """Puts the situation of a state (d,)."""
+        """Sets up the situation of a state (d,)."""
         self._state = np.array(state, dtype=np.float64)
 
     @abstractmethod
@@ -96,7 +96,7 @@ class ArmSkill(ABC):
         """A goal (p,) that succeeds in a state (d,), and its result; None where the planner finds none."""
 
     def demonstrations(self, count: int, rng: np.random.Generator) -> Sequence[Demonstration]:
-        """Plans successes for the launcher's next situations; those that the planner finds no goal for are skipped."""
+        """Plans successes for the launcher's next situations; skips those without a plan."""
         found: list[Demonstration] = []
         for _ in range(DRAWS * count):
             if len(found) == count:
@@ -115,7 +115,7 @@ class ArmSkill(ABC):
         return self._state
 
     def _stroke(self, goal: Array) -> JointTrajectory:
-        """The arm's motion to a goal (p,); raises `RefusedGoal` where there is none."""
+        """The arm's motion to a goal (p,); raises `RefusedGoal` if there is none."""
         try:
             goal = np.asarray(goal, dtype=np.float64)
         except (TypeError, ValueError):
@@ -128,13 +128,13 @@ class ArmSkill(ABC):
             raise RefusedGoal("infeasible", error.message) from error
 
     def _spare_time(self, goal: Array) -> float:
-        """Time that the stroke to a goal (p,) could do without [s]; negative where it lacks some."""
+        """Spare time of the stroke to a goal (p,) [s]; negative if it is too short."""
         position, speed, time = self._aim(goal)
         return float(np.clip(spare_time(self._primitive.limits, position - self._home, speed, time), *SPARE_TIMES))
 
 
 def choice(subject: str, what: str, value: str, known: Iterable[str]) -> str:
-    """The value, if it is a known one; raises `Invalid` naming those that are."""
+    """Returns a known value; raises `Invalid`, which lists the known ones."""
     if value not in known:
         raise Invalid(f"{subject} has no {what} {value!r}; there are {', '.join(known)}")
     return value

@@ -38,8 +38,8 @@ class CollisionCheck:
     Args:
         arm: Its kinematics and shapes.
         near: Pairs of shapes whose distance is measured, the moving one first.
-        touching: Pairs that are checked for contact alone, in every second row: links are so thick that between two
-            knots of a motion they overlap by less than the margin.
+        touching: Pairs checked for contact only, in every second row: links are thick enough that between two knots
+            they overlap by less than the margin.
     """
 
     def __init__(self, arm: Arm, near: Pairs, touching: Pairs = ()) -> None:
@@ -62,7 +62,7 @@ class CollisionCheck:
         self._touches = bool(touching)
 
     def clearance(self, positions: Array) -> tuple[float, int]:
-        """Least distance of the pairs `near` [m] over rows of `positions` (n, 6) [rad], and the row of it.
+        """Least distance of the pairs `near` [m] over rows of `positions` (n, 6) [rad], and its row.
 
         Below `MARGIN` counts as a collision.
         """

@@ -1,4 +1,4 @@
-"""`crkr plot policy`: what a policy answers as one coordinate of the state varies."""
+"""`crkr plot policy`: the policy's answers along one coordinate of the state."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`crkr plot learning` and `crkr plot coverage`: a task's trials in a figure, whatever the task is."""
+"""`crkr plot learning` and `crkr plot coverage`: figures of any task's trials."""
 
 from __future__ import annotations
 

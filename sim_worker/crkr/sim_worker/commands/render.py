@@ -94,7 +94,7 @@ def render(
 
 
 def _drawn(player: Skill, seed: int, context: int) -> Array:
-    """Puts a context of an evaluation, and returns its state."""
+    """Sets up a context of an evaluation and returns its state."""
     from crkr.sim_worker.randomness import fresh_rng
     from crkr.sim_worker.skill import judged_state
 
@@ -102,7 +102,7 @@ def _drawn(player: Skill, seed: int, context: int) -> Array:
 
 
 def _planned(player: Skill, name: str, seed: int, context: int) -> Array:
-    """The planner's goal for a context of an evaluation, which is put."""
+    """Sets up a context of an evaluation and returns the planner's goal."""
     from crkr.protocol import Invalid
     from crkr.sim_worker.skill import HasPlan
 
@@ -127,7 +127,7 @@ def _check_shape(player: Skill, task: Task) -> None:
 
 
 def _restored(player: Skill, name: str, task: Task, trial_id: UUID) -> Trial:
-    """The trial of that id in the task's log, whose state is put."""
+    """Finds a trial in the task's log by id and sets up its state."""
     from crkr.protocol import Invalid
     from crkr.sim_worker.skill import HasStates
 

@@ -1,4 +1,4 @@
-"""`crkr new` and `crkr check-skill`: a skill of one's own, begun and tried."""
+"""`crkr new` and `crkr check-skill`: start and check a skill of your own."""
 
 from __future__ import annotations
 
@@ -74,12 +74,12 @@ def check_skill(
             stdout.print(str(remark))
 
     def late(remark: Remark) -> None:
-        with redirect_stdout(output):  # what the skill prints goes elsewhere
+        with redirect_stdout(output):  # the skill's output goes to standard error
             note(remark)
             if json:
                 print_json([asdict(one) for one in remarks])
             output.flush()
-        os._exit(1)  # nothing else ends a call that does not end
+        os._exit(1)  # nothing else ends an endless call
 
     tried = load_skill(skill, SkillOptions(environment=environment, launcher=launcher))
     for remark in check(tried, seed=seed, timeout_s=timeout, late=late):

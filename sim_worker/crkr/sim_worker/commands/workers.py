@@ -49,9 +49,7 @@ PerPlace = Annotated[
 ]
 Fresh = Annotated[
     bool,
-    typer.Option(
-        "--fresh", help="Delete the task that is there and begin anew, while its specification still changes."
-    ),
+    typer.Option("--fresh", help="Delete an existing task and start again, while its specification still changes."),
 ]
 
 

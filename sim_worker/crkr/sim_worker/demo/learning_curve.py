@@ -52,7 +52,7 @@ def _budget(axes: Axes, history: RunHistory, budget: int) -> None:
     if history.filled_at is None:
         return
     axes.axvline(history.filled_at, color="0.4", linestyle="--", linewidth=1)
-    late = history.filled_at > sum(axes.get_xlim()) / 2  # then the words go to the left of the line
+    late = history.filled_at > sum(axes.get_xlim()) / 2  # then the text goes to the left of the line
     axes.annotate(
         f"active set full ({budget})",
         (history.filled_at, 3.0),

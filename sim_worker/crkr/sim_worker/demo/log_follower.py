@@ -1,4 +1,4 @@
-"""A task's log, read as it grows, with short deadlines so that the demo is never held up."""
+"""Reads a task's log as it grows, with short deadlines so that the demo never hangs."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ WINDOW_S: Final = 5.0
 
 @final
 class LogFollower:
-    """Reads what is new in the log, and the server's status.
+    """Reads new entries of the log, and the server's status.
 
     Attributes:
         history: The run so far; None until the task exists.
@@ -41,15 +41,15 @@ class LogFollower:
         return self._task
 
     def begin(self) -> None:
-        """Reads what an earlier run left, before this one starts."""
+        """Reads the entries of an earlier run, before this one starts."""
         self.update()
         self.trained_before = 0 if self.history is None else self.history.trained
 
     def update(self, *, thoroughly: bool = False) -> None:
-        """Reads what is new; a server that does not answer is asked again next time.
+        """Reads new entries; a server that does not answer is asked again next time.
 
         Args:
-            thoroughly: Ask for the status too, however recent the last one is.
+            thoroughly: Also ask for the status, however recent the last one is.
         """
         try:
             if self.history is None:

@@ -20,7 +20,7 @@ from crkr.client.cli.main import main
 __all__ = ["DemoProcess"]
 
 PATIENCE_S: Final = 4.0
-"""Time that a command has for its end after the demo is gone [s]."""
+"""Time for a command to end after the demo is gone [s]."""
 ORPHANED: Final = 3
 
 
@@ -67,7 +67,7 @@ class DemoProcess:
         return complete.decode(errors="replace").splitlines()
 
     def last_words(self) -> str:
-        """Its last error line, else its last line, else a remark that there is none."""
+        """Its last error line, else its last line, else a remark."""
         with self.log.open("rb") as file:
             file.seek(self._begun)
             lines = [line for line in file.read().decode(errors="replace").splitlines() if line.strip()]

@@ -19,7 +19,7 @@ START_S: Final = 30.0
 REACH_S: Final = 5.0
 TICK_S: Final = 0.1
 WORKERS_END_S: Final = 2.6
-END_S: Final = 4.6  # in a hurry, for all of it; `crkr watch` needs 3.7 where server, viewer and file are all slow
+END_S: Final = 4.6  # for everything, in a hurry; `crkr watch` needs 3.7 s if server, viewer and file are slow
 RECORDING_S: Final = 20.0
 ECHOED: Final = ("warning: ", "the server answers again", "port ")
 
@@ -48,7 +48,7 @@ class DemoProcesses:
         self._ending_since: float | None = None
 
     def start_server(self, stop: StopRequest, client: Client) -> bool:
-        """Starts the server and waits until it answers; False when stopped meanwhile.
+        """Starts the server and waits until it answers; False if stopped meanwhile.
 
         Raises:
             DemoFailed: It ended, is silent for too long, or listens and cannot be reached.
@@ -73,7 +73,7 @@ class DemoProcesses:
         return True
 
     def start_dashboard(self, stop: StopRequest) -> None:
-        """Starts `crkr watch` and waits until it can record; the demo goes on without it if it fails."""
+        """Starts `crkr watch` and waits until it can record; if it fails, the demo continues without it."""
         settings = self._settings
         watch = ["watch", settings.task, "--web", "--save", str(settings.recording), "--connect", settings.endpoint]
         self._watch = self._start("watch", watch)

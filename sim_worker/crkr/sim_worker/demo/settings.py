@@ -24,7 +24,7 @@ class DemoSettings:
     Attributes:
         skill: Skill to be learned.
         task: Name of the task.
-        trials: Training trials that the task is to hold in all.
+        trials: Total training trials of the task.
         workers: Training processes.
         seed: Of task, demonstrations and workers.
         data: Folder for everything; the server's data directory too, unless it keeps its log in a database.

@@ -34,7 +34,7 @@ class PlayedContext:
     Attributes:
         context: Its number.
         result: Of the policy's goal, without a trace.
-        oracle: Success of the skill's planner by criterion; None where it has none or was not asked.
+        oracle: Success of the skill's planner by criterion; None without a planner or where it was not asked.
     """
 
     context: int
@@ -50,7 +50,7 @@ class Assessment:
     Attributes:
         policy: Success of the policy.
         reasons: How trials ended, in the skill's words.
-        oracle: Success of the planner in the same contexts; empty where there is none.
+        oracle: Success of the planner in the same contexts; empty without a planner.
     """
 
     policy: Tally = field(default_factory=Tally)
@@ -75,7 +75,7 @@ class Assessment:
 
 
 def ask(task: Task, skill: Skill, contexts: int, seed: int) -> list[Prediction]:
-    """The policy's goals for that many fresh contexts, in messages of at most 4096.
+    """The policy's goals for fresh contexts, in messages of at most 4096.
 
     Raises:
         Invalid: The skill has other states or goals than the task.
@@ -100,7 +100,7 @@ def play(
     oracle: bool,
     show: Callable[[int], None],
 ) -> list[PlayedContext]:
-    """Executes goals (b, p) in the contexts that `ask` asked about, `jobs` at a time; in order of the contexts.
+    """Executes goals (b, p) in the contexts of `ask`, `jobs` at a time; results are in the order of the contexts.
 
     Raises:
         CrkrError: A process was lost.
@@ -176,7 +176,7 @@ def record(task: Task, answers: list[Prediction], played: list[PlayedContext], s
 
 
 def _identified(task: Task, context: str, **content: Any) -> Trial:
-    """A trial whose id follows from its context and its content."""
+    """A trial with an id derived from its context and content."""
     trial = Trial.create(task.spec, id=UUID(int=0), **content)
     return replace(trial, id=task_id(task.name, f"{context}/{trial.digest().hex()}"))
 

@@ -18,7 +18,7 @@ EPOCH = 50
 """Training trials of an epoch."""
 
 COST_OF_NOTHING = 1.0
-"""Cost of an evaluation whose goal could not be executed: the greatest, since the log requires a number."""
+"""Cost of an evaluation with a refused goal: the greatest, since the log requires a number."""
 
 
 @final

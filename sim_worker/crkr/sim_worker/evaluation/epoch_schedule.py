@@ -1,4 +1,4 @@
-"""Which epochs are to be judged, by which supervisor, and by which of its workers.
+"""The schedule of evaluations: which epochs are judged, by which supervisor and which of its workers.
 
 An epoch is 50 training trials. When one ends, the model is asked at the fixed contexts, and its answers are executed
 between training trials. `EpochClock` says which epochs have ended. Of the supervisors that train one task, one holds
@@ -71,7 +71,7 @@ class JudgeRole:
 
     @property
     def clock(self) -> EpochClock | None:
-        """Names the epochs that this supervisor's workers are to judge; None while another supervisor judges."""
+        """Names the epochs for this supervisor's workers to judge; None while another supervisor judges."""
         return self._clock
 
     def update(self, trained: int) -> None:
@@ -128,7 +128,7 @@ class EpochAssignments:
 
     @property
     def unfinished(self) -> int:
-        """Number of epochs that are still to be judged."""
+        """Number of epochs left to judge."""
         return len(self._assignments)
 
     def is_busy(self, worker: WorkerProcess) -> bool:
@@ -136,7 +136,7 @@ class EpochAssignments:
         return any(assignment.worker is worker for assignment in self._assignments.values())
 
     def assign(self, clock: EpochClock | None, trained: int, workers: Sequence[WorkerProcess]) -> None:
-        """Gives every epoch that has ended to the worker with the fewest; without a clock no new ones are named."""
+        """Gives each ended epoch to the worker with the fewest; without a clock, names no new ones."""
         for epoch in () if clock is None else clock.ended(trained):
             self._assignments[epoch] = _Assignment(trained)
         for epoch, assignment in sorted(self._assignments.items()):
@@ -146,7 +146,7 @@ class EpochAssignments:
                 assignment.worker.send("judge", epoch=epoch, trained=assignment.trained)
 
     def handle(self, event: dict[str, Any]) -> None:
-        """Notes a worker's event; events about anything else than evaluations are ignored."""
+        """Handles a worker's event; ignores events that are not about evaluations."""
         match event:
             case {"event": "judged", "epoch": epoch} if epoch in self._assignments:
                 self._assignments[epoch].asked = True

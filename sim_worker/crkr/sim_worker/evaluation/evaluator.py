@@ -71,13 +71,13 @@ class Evaluator:
             self._store(evaluation)
 
     def finish(self, patience_s: float) -> None:
-        """Plays what is left while time allows: an epoch's model is gone after a restart."""
+        """Plays the remaining contexts while time allows, as an epoch's model is lost after a restart."""
         deadline = time.monotonic() + patience_s
         while self._waiting and time.monotonic() < deadline:
             self.play_next()
 
     def _store(self, evaluation: EpochEvaluation) -> None:
-        """Stores an epoch's evaluation whole or not at all."""
+        """Stores an epoch's evaluation as a whole or not at all."""
         try:
             receipt = self._link.retry_while_away(lambda: self._task.report_trials(evaluation.trials))
         except Conflict:

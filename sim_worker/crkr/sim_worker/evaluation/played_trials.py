@@ -1,4 +1,4 @@
-"""Trials that are played to be looked at, as in the film of `crkr page`; nothing of them is stored."""
+"""Trials that are played for a film, as in `crkr page`, and not stored."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from crkr.sim_worker.worker.telemetry import thinned
 __all__ = ["PlayedTrial", "play_trials"]
 
 PLAYED: Final = 24  # fresh contexts
-MOST: Final = 72  # to find one that fails
+MOST: Final = 72  # time to find one that fails
 LONGEST_S: Final = 20.0
 
 
@@ -28,10 +28,10 @@ class PlayedTrial:
 
     Attributes:
         cost: In [0, 1], or None.
-        success: Whether it did what was wanted.
+        success: Whether it succeeded.
         reason: How it ended, in the skill's words.
         trace: How things moved, or None.
-        seq: Log position of the trial that was played again; None for a fresh one.
+        seq: Log position of a replayed trial; None for a new one.
     """
 
     cost: float | None
@@ -47,20 +47,20 @@ def play_trials(
     trials: Sequence[Sequence[StoredTrial]],
     goals: Callable[[Array], Array] | None,
 ) -> tuple[Sequence[Geom], list[PlayedTrial]]:
-    """Play trials by a skill, and return its scene and the trials; nothing where no skill is known or it has no scene.
+    """Play trials by a skill; returns its scene and the trials, empty without a known skill or a scene.
 
-    A skill that can put states plays the first of each of the stored trials that moves. Others play fresh contexts for
-    at most 20 s, until one of them fails.
+    A skill with `restore` replays the first trial with a motion of each group. Others play fresh contexts for at most
+    20 s, until one fails.
 
     Args:
-        given: The skill, as `crkr workers` takes it; None is the installed one that the task says it is for.
+        given: The skill, as `crkr workers` takes it; None: the installed skill that the task names.
         stored: Of the task.
         trials: Stored trials, by groups.
-        goals: The policy that fresh contexts are played by.
+        goals: The policy for fresh contexts.
 
     Raises:
-        Invalid: There is no such skill, its task has states or goals of other sizes, or it cannot put states and there
-            is no policy.
+        Invalid: There is no such skill, its task has states or goals of other sizes, or it lacks `restore` and there is
+            no policy.
         SkillFault: The skill fails.
     """
     name = given or skill_of(stored)

@@ -1,4 +1,4 @@
-"""A run as its log tells it: trials counted, epochs scored; for progress, summary and figure."""
+"""A run's trial counts and epoch scores from its log, for progress, summary and figure."""
 
 from __future__ import annotations
 

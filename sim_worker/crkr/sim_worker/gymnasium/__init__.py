@@ -1,4 +1,4 @@
-"""Gymnasium's environments as skills: one trial is one episode, whose motion is decided at its start."""
+"""Gymnasium's environments as skills: a trial is an episode with a motion planned at its start."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""An environment by its name, and what a skill must know of it: its actions, and how many steps an episode takes."""
+"""Makes an environment by name, and finds its actions and the length of an episode."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Bounds = float | tuple[Any, Any]
 """The greatest size of all numbers of a goal; or their (low, high), each a number or (n,)."""
 
 ROBOTICS: Final = "gymnasium_robotics"
-PROBES: Final = 3  # random episodes that tell whether one action ends an episode
+PROBES: Final = 3  # random episodes that show whether one action ends an episode
 
 
 @final
@@ -47,7 +47,7 @@ class Environment:
     high: Array
 
     def act(self, action: Array) -> tuple[Any, float, bool, Mapping[str, Any]]:
-        """One step: the observation, the reward, whether the episode is over, and what the environment tells."""
+        """One step: the observation, the reward, whether the episode is over, and the environment's info."""
         space: Any = self.env.action_space
         clipped = np.clip(action, self.low, self.high).reshape(space.shape).astype(space.dtype)
         observation, reward, terminated, truncated, info = self.env.step(clipped)
@@ -60,16 +60,16 @@ def make_environment(
     goal_bounds: Bounds | None = None,
     steps: int | None = None,
 ) -> Environment:
-    """Makes an environment and tries how it ends.
+    """Makes an environment and finds how its episodes end.
 
     Args:
         source: Its name, also as package:name; or what makes it.
         settings: Keyword arguments of the environment.
-        goal_bounds: Of actions that have none.
+        goal_bounds: For actions without bounds.
         steps: Of an episode, where the environment has no time limit.
 
     Raises:
-        Invalid: There is no such environment, or no trial can be made of its episodes; the message says what to do.
+        Invalid: There is no such environment, or its episodes cannot be trials; the message says what to do.
     """
     env, name = _made(source, settings)
     space = env.action_space
@@ -111,7 +111,7 @@ def _made(
 
 def _register_robotics() -> None:
     """Registers gymnasium-robotics' environments."""
-    with redirect_stderr(io.StringIO()):  # whatever is asked for, it tells of versions of other environments
+    with redirect_stderr(io.StringIO()):  # it always warns of versions of other environments
         import gymnasium_robotics
     import mujoco
     from gymnasium_robotics.utils import mujoco_utils
@@ -140,7 +140,7 @@ def _action_bounds(space: Box, given: Bounds | None, name: str) -> tuple[Array, 
 
 
 def narrowed(low: Array, high: Array, given: Bounds | None, name: str) -> tuple[Array, Array]:
-    """The box [low, high] (n,) where it is within `goal_bounds`; raises `Invalid` where nothing is left."""
+    """The intersection of [low, high] (n,) and `goal_bounds`; raises `Invalid` if it is empty."""
     if given is None:
         return low, high
     least, most = given if isinstance(given, tuple) else (-given, given)

@@ -1,4 +1,4 @@
-"""What an episode is worth: its outcome, whether it succeeded, and its cost."""
+"""Judges an episode: its outcome, success and cost."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ Success = str | Callable[[Any, Mapping[str, Any]], bool]
 Cost = tuple[str, float, float] | Callable[[Any, Mapping[str, Any]], float]
 
 FLAGS: Final = ("is_success", "success")
-GOOD: Final = 90  # percentile of random episodes' returns that counts as success where nothing else says so
+GOOD: Final = 90  # percentile of random episodes' returns that is the default for success
 FAR: Final = 5.0  # tolerances off the target that cost 0.63
-WATCHED: Final = 100  # costs that a warning of saturation looks at
+WATCHED: Final = 100  # costs considered for a warning of saturation
 
 
 @final
@@ -38,7 +38,7 @@ class Episode:
         env: The unwrapped environment.
         observation: The last one.
         total: Sum of the rewards, the return.
-        info: What the environment told at the last step.
+        info: The environment's info at the last step.
     """
 
     env: gymnasium.Env[Any, Any]
@@ -53,14 +53,14 @@ class Judgement:
 
     Attributes:
         names: Of the outcome's numbers.
-        tolerances: (q,) that a success keeps.
+        tolerances: (q,) within which a trial succeeds.
         rule: In words, for people.
 
     Args:
         measure: Of the outcome, or None.
         tolerances: Of its numbers.
-        succeeded: Says whether an episode did what was wanted.
-        cost: In [0, 1], or beyond, where it is cut off.
+        succeeded: Whether an episode succeeded.
+        cost: Clipped to [0, 1].
         rule: In words.
     """
 
@@ -82,7 +82,7 @@ class Judgement:
 
     @property
     def axes(self) -> list[dict[str, Any]]:
-        """The specification's `outcome`; empty where there is none."""
+        """The specification's `outcome`; may be empty."""
         pairs = zip(self.names, self.tolerances.tolist(), strict=True)
         return [{"name": name, "tolerance": tolerance, "group": "outcome"} for name, tolerance in pairs]
 
@@ -94,11 +94,11 @@ class Judgement:
         return np.array([float(measured[name]) for name in self.names])
 
     def success(self, episode: Episode) -> bool:
-        """Whether it did what was wanted."""
+        """Whether it succeeded."""
         return bool(self._succeeded(episode))
 
     def cost(self, episode: Episode) -> float:
-        """Its cost; warns where costs tell trials apart no longer."""
+        """Its cost; warns of saturated costs."""
         cost = float(np.clip(self._cost(episode), 0.0, 1.0))
         self._costs.append(cost)
         if len(self._costs) == WATCHED:
@@ -124,12 +124,11 @@ def judge_by(
     outcome: Measure | None,
     tolerance: float | Mapping[str, float] | None,
 ) -> Judgement:
-    """The rule that the arguments of `gymnasium_skill` make; what they leave open is taken from the environment.
+    """The rule from the arguments of `gymnasium_skill`, with defaults from the environment.
 
     Args:
         first: An episode that has just ended.
-        returns: Makes episodes of random goals and returns their returns (n,); called where nothing else says what
-            a trial is worth.
+        returns: Returns the returns (n,) of random episodes; called if nothing else defines a cost.
         name: Of the environment, for messages.
         success: A flag of the environment's info, or a function.
         cost: ("return", worst, best), or a function.
@@ -217,7 +216,7 @@ def _cost(
         return lambda episode: 1.0 - float(np.exp(-_deviation(measure(episode), tolerances) / FAR))
     if given is None:
         worst, middle, best = np.percentile(returns(), (5, 50, 100))
-        best += 0.1 * (best - middle)  # learning finds better ones than chance
+        best += 0.1 * (best - middle)  # learning finds better ones than random goals
         best = best if best > worst else worst + 1.0
     else:
         kind, worst, best = given

@@ -17,20 +17,20 @@ __all__ = ["Actions", "JointStroke", "Motion", "ViaPoints", "motion_for"]
 Actions = Callable[[int], Array]
 """The action (n,) of a step."""
 
-HIT: Final = 0.6  # of the episode: when the joints arrive
-STIFFNESS: Final = 0.3  # per step: how quickly a deviation from the stroke is corrected; beyond 0.5 it would swing
-MARGIN: Final = 0.02  # of a joint's range, at both ends, which no goal asks for
+HIT: Final = 0.6  # share of the episode until the joints arrive
+STIFFNESS: Final = 0.3  # per step: feedback gain; beyond 0.5 it oscillates
+MARGIN: Final = 0.02  # share of a joint's range at each end that goals avoid
 
 
 class Motion(Protocol):
-    """What turns a goal into an episode's actions."""
+    """Turns a goal into an episode's actions."""
 
     @property
     def axes(self) -> list[dict[str, Any]]:
         """The specification's `goal`."""
 
     def begin(self, goal: Array) -> Actions:
-        """Plans from the environment's present state; raises `Infeasible` for a goal that cannot be tried."""
+        """Plans from the environment's current state; raises `Infeasible` for a goal that cannot be tried."""
 
 
 def motion_for(environment: Environment, via_points: int | None, goal_bounds: Bounds | None = None) -> Motion:
@@ -47,11 +47,11 @@ def motion_for(environment: Environment, via_points: int | None, goal_bounds: Bo
 
 @final
 class ViaPoints:
-    """Actions through points that are equally far apart in time, monotone between them: within the bounds by itself.
+    """Actions through points equally spaced in time, monotone between them and so within the bounds.
 
     Args:
         environment: Whose actions.
-        count: Points for each number of an action; one is an action that does not change.
+        count: Points for each number of an action; one point is a constant action.
         goal_bounds: Narrower ones than the environment's.
     """
 
@@ -81,10 +81,10 @@ class ViaPoints:
 
 @final
 class JointStroke:
-    """A stroke from where the joints are to the goal's joint positions, planned by `Primitive`'s quadratic program.
+    """A stroke from the current to the goal's joint positions, planned by `Primitive`'s quadratic program.
 
-    Motors follow it by computed torque: the model's own inertia, gravity and friction, and a correction of what they
-    are behind. Servos are given its positions.
+    Motors follow it by computed torque: the model's inertia, gravity and friction, and feedback. Servos get its
+    positions.
 
     Args:
         environment: A MuJoCo model whose actions are its controls.

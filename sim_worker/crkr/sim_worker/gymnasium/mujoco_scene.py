@@ -12,14 +12,14 @@ __all__ = ["MujocoScene"]
 
 FAINT: Final = 0.05  # alpha below which a shape is not drawn
 COLLISION: Final = 3  # group of geoms from which on MuJoCo's viewer hides them, by default
-MOST_BODIES: Final = 24  # whose poses fit into a message with a trial's numbers
-FLOOR: Final = 3.0  # half size of a plane without end [m]
+MOST_BODIES: Final = 24  # bodies whose poses fit into a message
+FLOOR: Final = 3.0  # half size of an infinite plane [m]
 QUATERNION: Final = [1, 2, 3, 0]  # scalar last
 
 
 @final
 class MujocoScene:
-    """Draws an environment that has a MuJoCo model; one that has none gives no shapes.
+    """Draws an environment with a MuJoCo model; others have no shapes.
 
     Meshes are drawn as boxes around them. Sites that are visible, often targets, are drawn as spheres that move.
     """

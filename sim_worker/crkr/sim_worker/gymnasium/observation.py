@@ -1,4 +1,4 @@
-"""The numbers of an observation by name, and which of them tell one situation from another."""
+"""The numbers of an observation by name, and which of them distinguish situations."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from crkr.protocol import Array, Invalid
 
 __all__ = ["Observation", "rounded_box"]
 
-MOST: Final = 64  # numbers of an observation's entry that has rows and columns; more is taken for an image
-REPEATS: Final = 0.03  # share of an entry's deviation that the entries before it leave unexplained: it adds nothing
-QUIET: Final = 10.0  # times narrower than the widest entry: noise of the reset, given a longer length-scale
+MOST: Final = 64  # numbers of a two-dimensional entry; a larger one is an image
+REPEATS: Final = 0.03  # an entry is redundant if earlier entries explain all but this share
+QUIET: Final = 10.0  # times narrower than the widest entry: reset noise, which gets a longer length-scale
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """Which numbers of an observation are the state.
+    """The numbers of an observation that are the state.
 
     Attributes:
         names: Of the numbers, the state's order.
-        places: Of each number: the keys of its entry, and its index in the entry.
+        places: Place of each number: keys of its entry, and index in the entry.
         axes: The specification's `state`.
     """
 
@@ -37,16 +37,16 @@ class Observation:
     def choose(
         cls, space: Space[Any], samples: Sequence[Any], chosen: Sequence[str | int] | None, name: str
     ) -> Observation:
-        """Chooses the numbers that differ from reset to reset and do not follow from others.
+        """Chooses the numbers that vary between resets and are not functions of others.
 
         Args:
             space: Of observations.
             samples: Observations at reset.
-            chosen: Names of numbers or of entries, or positions in a vector; None leaves out what adds nothing.
+            chosen: Names of numbers or of entries, or positions in a vector; None leaves out redundant ones.
             name: Of the environment, for messages.
 
         Raises:
-            Invalid: An entry is an image or no numbers at all, or there is nothing of a chosen name.
+            Invalid: An entry is an image or not numeric, or a chosen name does not exist.
         """
         labels, places = _listed(space, chosen, name)
         values = np.array([[_at(sample, place) for place in places] for sample in samples])
@@ -69,7 +69,7 @@ class Observation:
 
 
 def rounded_box(values: Array) -> tuple[Array, Array]:
-    """The least box of (n, d) values with its faces on a coarse grid, so that every machine finds the same."""
+    """The smallest box of (n, d) values on a coarse grid, so that every machine finds the same."""
     low, high = values.min(axis=0), values.max(axis=0)
     width = np.where(high > low, high - low, 1.0)
     grid = 10.0 ** np.floor(np.log10(width) - 1.0)
@@ -81,7 +81,7 @@ def _listed(
     space: Space[Any], chosen: Sequence[str | int] | None, name: str
 ) -> tuple[tuple[str, ...], tuple[tuple[tuple[str, ...], int], ...]]:
     """Names and places of all numbers, or of the chosen ones in the order of the choice."""
-    entries = sorted(_entries(space, ()), key=lambda entry: entry[0] != ("desired_goal",))  # what a trial is for, first
+    entries = sorted(_entries(space, ()), key=lambda entry: entry[0] != ("desired_goal",))  # first what a trial is for
     found: list[tuple[str, tuple[str, ...], int]] = []
     for keys, leaf in entries:
         label = ".".join(keys) or "observation"

@@ -24,9 +24,9 @@ __all__ = ["GymnasiumSkill", "gymnasium_skill"]
 logger = logging.getLogger(__name__)
 
 RESETS: Final = 100
-"""Resets that the state's box is taken from; always of the same seeds, so that every worker finds the same task."""
+"""Resets that define the state's box, with fixed seeds so that every worker finds the same task."""
 EPISODES: Final = 40
-"""Random episodes that say what a return is worth, where nothing else does."""
+"""Random episodes that define the cost of a return by default."""
 
 
 def gymnasium_skill(
@@ -44,32 +44,32 @@ def gymnasium_skill(
     settings: Mapping[str, Any] | None = None,
     **arguments: Any,
 ) -> SkillFactory:
-    """Makes a skill of an environment: the state is what differs at reset, a goal is the motion of one episode.
+    """Makes a skill of an environment: the state varies at reset, a goal is the motion of one episode.
 
     `crkr workers gymnasium:ENV-ID` does the same without arguments.
 
     Args:
         environment: Its name, as "Reacher-v5" or "package:ENV-ID"; or what makes it.
-        state: Numbers of the observation to keep, by name ("desired_goal", "observation_4") or position; all that vary
-            and do not follow from others unless given.
+        state: Numbers of the observation to keep, by name ("desired_goal", "observation_4") or position; by default all
+            that vary and are not functions of others.
         goal_bounds: Narrower ones than of the environment's actions or joints, or of actions that have none: the
             greatest size, or (low, high), each a number or one for each.
         success: A flag of the environment's info, "is_success" unless given; or a function of environment and info.
-        cost: ("return", WORST, BEST), where the return costs 1 and 0; or a function of environment and info. Without
-            it the outcome says it, or the returns of 40 random episodes.
-        outcome: Measures by how much a trial was off: numbers by name, signed, 0 is perfect. Environments with a
-            desired and an achieved goal measure their difference unless told otherwise.
+        cost: ("return", WORST, BEST), the returns that cost 1 and 0; or a function of environment and info. By default
+            the outcome decides, or the returns of 40 random episodes.
+        outcome: Measures by how much a trial was off: signed numbers by name, 0 is perfect. The default is the
+            difference of desired and achieved goal, if the environment has them.
         tolerance: Size of the outcome's numbers that still succeeds; one for all, or by name.
         via_points: Number of points that actions pass. Unless given, joints of MuJoCo models make a stroke to the
             goal's joint positions, and other actions stay the same during an episode.
         steps: Of an episode, where the environment has no time limit.
-        start: Trials that fill the goal's bounds before anything is learned from.
+        start: Trials that fill the goal's bounds before learning.
         settings: Further fields of the task's specification.
         arguments: Passed to the environment.
 
     Returns:
-        A factory for `crkr workers FILE:NAME`; it raises `Invalid`, with what to do, for an environment of which no
-        skill can be made.
+        A factory for `crkr workers FILE:NAME`; it raises `Invalid`, which says what to do, for an environment that
+        cannot be a skill.
     """
 
     def factory(options: SkillOptions) -> GymnasiumSkill:
@@ -121,7 +121,7 @@ class _Trials:
         self._box = np.array(low), np.array(high)
 
     def run(self, goal: Array) -> Episode:
-        """The episode of a goal (p,) from the present reset on; raises `Infeasible` for one that cannot be tried."""
+        """The episode of a goal (p,) from the current reset on; raises `Infeasible` for a goal that cannot be tried."""
         actions = self.motion.begin(goal)
         self.scene.clear()
         total, observation = 0.0, None
@@ -181,7 +181,7 @@ class GymnasiumSkill:
         return TrialResult(cost, success, True, outcome, info, self._trials.scene.trace())
 
     def scene(self) -> Sequence[Geom]:
-        """Shapes of the MuJoCo model; none where there is no such model."""
+        """Shapes of the MuJoCo model; empty without one."""
         return self._trials.scene.shapes()
 
     def _reset(self) -> Any:

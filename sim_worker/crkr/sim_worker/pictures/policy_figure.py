@@ -1,4 +1,4 @@
-"""A policy as one coordinate of the state varies: what its goals mean where the skill can tell, else the goals."""
+"""A policy along one coordinate of the state: drawn by the skill if it can, else as the goals' coordinates."""
 
 from __future__ import annotations
 

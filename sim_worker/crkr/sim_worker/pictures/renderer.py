@@ -1,6 +1,6 @@
 """Pictures of trials by MuJoCo's renderer, in software where there is no graphics card.
 
-A skill's shapes and a trial's trace are all that is needed, whatever moved them.
+Needs only a skill's shapes and a trial's trace.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from crkr.sim_worker.skill import Film
 
 __all__ = ["SceneRenderer"]
 
-GHOST: Final = 0.3  # opacity of what moves at all moments but one
+GHOST: Final = 0.3  # opacity of moving bodies at all moments but one
 PATH_RADIUS: Final = 0.007  # [m]
 BEFORE: Final = np.array([1.0, 0.9, 0.55, 1.0], dtype=np.float32)
 AFTER: Final = np.array([1.0, 0.45, 0.05, 1.0], dtype=np.float32)
 HALF_VIEW: Final = np.deg2rad(25.0)  # half the camera's vertical angle of view
-MARGIN: Final = 1.2  # of the picture around what moves
-FLAT: Final = 0.1  # a motion lower than this share of its width is seen from above
+MARGIN: Final = 1.2  # share of the picture around the motion
+FLAT: Final = 0.1  # a flatter motion is seen from above
 WORLD: Final = "world"
 
 
@@ -72,7 +72,7 @@ class SceneRenderer:
         return np.array(self._renderer.render())
 
     def exposure(self, rows: Iterable[int], solid: int) -> Picture:
-        """The scene (h, w, 3) at several rows of the motion at once, see-through at all but `solid`."""
+        """The scene (h, w, 3) at several rows of the motion at once, transparent except at `solid`."""
         self._pose(solid)
         self._renderer.update_scene(self._data, camera=self._camera)
         for row in rows:
@@ -162,7 +162,7 @@ def _model(shapes: Sequence[Geom], trace: Trace, width: int, height: int) -> Any
 
 
 def _box(trace: Trace) -> tuple[Array, Array]:
-    """Least and greatest coordinates (3,) of all that the trace tells of [m]."""
+    """Least and greatest coordinates (3,) of the trace [m]."""
     points = np.concatenate([trace.positions.reshape(-1, 3), *trace.paths.values()])
     return points.min(axis=0), points.max(axis=0)
 

@@ -1,4 +1,4 @@
-"""Figures of any task's trials: success and cost over the run, and where in the space of states it has been."""
+"""Figures of any task's trials: success and cost over the run, and the tried states."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ def _rates(marks: list[bool | None], size: int) -> tuple[Array, Array, Array, Ar
 
 
 def draw_coverage(run: Run, active: Array, path: Path) -> None:
-    """Saves where in the space of states trials were, how they ended, and which of them are active.
+    """Saves a figure of the tried states, the trials' results, and the active samples.
 
     Args:
         run: The task's trials.

@@ -20,7 +20,7 @@ RATE: Final = 25  # frames a second: a GIF, which counts in hundredths of a seco
 
 
 def check_kind(path: Path, *, sequence: bool = False, slow: float = 1.0) -> None:
-    """Raises `Invalid`, before anything is drawn, where nothing could be saved at `path`."""
+    """Raises `Invalid`, before drawing, if nothing can be saved at `path`."""
     if sequence and path.suffix != ".png":
         raise Invalid(f"a sequence of moments is a .png; got {path.name}")
     if path.suffix not in (".png", *FILMS):
@@ -41,7 +41,7 @@ def render_trial(
     sequence: bool = False,
     slow: float = 1.0,
 ) -> TrialResult:
-    """Executes a goal in the situation of the last `reset` or `restore`, draws it and saves what was drawn.
+    """Executes a goal in the situation of the last `reset` or `restore`, draws it and saves the picture.
 
     Args:
         skill: Executes.
@@ -53,11 +53,11 @@ def render_trial(
         slow: How many times slower than life a film runs; 1 for a .png.
 
     Returns:
-        What the trial gave.
+        The trial's result.
 
     Raises:
-        Invalid: Another suffix, what files of that suffix cannot show, no such folder, a goal that is refused, or a
-            skill that has nothing to draw.
+        Invalid: Another suffix, an option that does not fit it, no such folder, a refused goal, or a skill with nothing
+            to draw.
         Unsupported: This machine cannot render.
         ModuleNotFoundError: PyAV is not installed, for an .mp4.
     """
@@ -128,7 +128,7 @@ def _captioned(picture: Picture, text: str) -> Picture:
 
 
 def compared(trial: Trial, again: TrialResult) -> str:
-    """Says whether executing a trial again gave what was measured the first time."""
+    """Says whether a replayed trial had its first result again."""
     told_now = "no cost" if again.cost is None else f"cost {again.cost:.4f}"
     if _same(trial, again):
         return f"{again.reason}, {told_now}: to the bit what was measured then"

@@ -21,7 +21,7 @@ Result = TypeVar("Result")
 
 
 class Places(Protocol):
-    """Executes what plain data describes, on one machine or many; both methods block until all is done."""
+    """Executes plans and parts, on one machine or many; both methods block until all is done."""
 
     def run(
         self, plan: RunPlan, per_place: int, say: Callable[[str], None], show: Callable[[int, str], None]
@@ -29,7 +29,7 @@ class Places(Protocol):
         """Trains as `run_workers` does.
 
         Args:
-            plan: What to do, with all its workers.
+            plan: The plan for all workers.
             per_place: Workers that share a supervisor and a machine, where there are several machines.
             say: Prints a line for people.
             show: Shows the training trials stored and a remark, often.
@@ -63,7 +63,7 @@ class Here:
 
 
 def load_places(name: str) -> Places:
-    """The places of a name.
+    """Loads places by name.
 
     Raises:
         Invalid: No package offers that name.

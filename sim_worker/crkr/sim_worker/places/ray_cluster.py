@@ -1,4 +1,4 @@
-"""Workers and runs as tasks of a Ray cluster, which starts them on its nodes and again where a node dies."""
+"""Workers and runs as tasks of a Ray cluster, which starts them on its nodes and restarts those of a dead node."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ from crkr.sim_worker.supervisor.supervisor import training_trials
 __all__ = ["RayCluster", "part_plans"]
 
 POLL_S: Final = 0.5
-STOP_WITHIN_S: Final = 10.0  # a node that cannot be reached never answers; Ray itself notices after a minute
-RETRIES: Final = 3  # of a part, which runs the skill in the task itself: a skill may end its process each time
+STOP_WITHIN_S: Final = 10.0  # for an unreachable node; Ray notices after a minute
+RETRIES: Final = 3  # of a part, in case its skill ends the process each time
 STATUS_TIMEOUT_S: Final = 1.0
 CONNECT_WITHIN_S: Final = 5.0
 
@@ -40,7 +40,7 @@ Result = TypeVar("Result")
 
 
 def part_plans(plan: RunPlan, per_place: int) -> list[RunPlan]:
-    """A plan for each place: at most `per_place` workers, and a seed of its own."""
+    """A plan for each place, with at most `per_place` workers and its own seed."""
     counts = [min(per_place, plan.workers - start) for start in range(0, plan.workers, per_place)]
     return [replace(plan, workers=count, seed=place_seed(plan.seed, index)) for index, count in enumerate(counts)]
 
@@ -49,8 +49,8 @@ def part_plans(plan: RunPlan, per_place: int) -> list[RunPlan]:
 class RayCluster:
     """The cluster that `RAY_ADDRESS` names, or the one that this machine belongs to.
 
-    Every node needs crkr in the version of this process, and the skill's libraries. A skill of the user's own travels:
-    its file's folder, or the working directory for a skill named by its module, is copied to the nodes.
+    Every node needs this version of crkr, and the skill's libraries. A user's skill is copied to the nodes: the folder
+    of its file, or the working directory for a skill named by its module.
     """
 
     def run(
@@ -177,7 +177,7 @@ class _Progress:
     trained: int = 0
 
     def update(self, places: int) -> None:
-        with suppress(CrkrError):  # not created yet, or away; the places are more patient, and they tell
+        with suppress(CrkrError):  # not created yet, or away; the places are more patient and report it
             self.trained = training_trials(self.task.status(timeout_s=STATUS_TIMEOUT_S))
         self.show(self.trained, f"{places} places at work")
 
@@ -185,7 +185,7 @@ class _Progress:
 def _node_function(name: str) -> Callable[[bytes], Any]:
     """A function of `ray_node`, called with arguments that are unpacked on the node.
 
-    Ray copies the inner function as code, so that it also runs, and tells, where crkr is missing.
+    Ray copies the inner function as code, so that it can report a missing crkr.
     """
 
     def call(arguments: bytes) -> Any:
@@ -203,7 +203,7 @@ def _node_function(name: str) -> Callable[[bytes], Any]:
 
 
 def _value(ref: Any) -> Any:
-    """A finished task's result; raises what it raised, or `CrkrError` where Ray or a node failed."""
+    """A finished task's result; raises its exception, or `CrkrError` if Ray or a node failed."""
     try:
         value = ray.get(ref)
     except TaskCancelledError:
@@ -236,7 +236,7 @@ def _report(ref: Any, task: str) -> RunReport:
 
 
 def _cancel(waiting: list[Any], task: str, say: Callable[[str], None]) -> list[RunReport]:
-    """Interrupts places and gives their reports; those that do not end in time are given up."""
+    """Interrupts places and returns their reports; gives up those that do not end in time."""
     for ref in waiting:
         ray.cancel(ref)
     deadline, reports = time.monotonic() + STOP_WITHIN_S, list[RunReport]()

@@ -1,4 +1,4 @@
-"""Motion of n joints: their limits, a trajectory, and how much faster than asked the limits would allow."""
+"""Motion of n joints: limits, trajectories, and the spare time within the limits."""
 
 from __future__ import annotations
 
@@ -104,10 +104,10 @@ class JointTrajectory:
 
 
 def spare_time(limits: JointLimits, way: Array, velocity: Array, hit_time: float) -> float:
-    """The hit time minus the least time that the slowest joint needs [s]; negative where no stroke is in time.
+    """The hit time minus the least time of the slowest joint [s]; negative if no stroke is in time.
 
     The fastest way from rest is full acceleration, cruise at the speed limit and full braking. Position limits are
-    ignored. A skill can declare this number as an outcome: it says by how much a refused goal was out of reach.
+    ignored. A skill can declare this number as an outcome, as it measures how far a refused goal was out of reach.
 
     Args:
         limits: Of n joints.

@@ -1,4 +1,4 @@
-"""MuJoCo, imported without OpenGL whatever MUJOCO_GL says; a renderer loads OpenGL when it is made."""
+"""Imports MuJoCo without OpenGL, whatever MUJOCO_GL says; only a renderer loads OpenGL."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ BACKENDS: Final = {"egl": "mujoco.egl", "osmesa": "mujoco.osmesa", "glfw": GLFW,
 
 @contextmanager
 def _without_opengl() -> Iterator[None]:
-    """Hides MUJOCO_GL during the import, which fails if the backend that it names is missing."""
+    """Hides MUJOCO_GL during the import, which would fail if its backend is missing."""
     before = os.environ.get("MUJOCO_GL")
     os.environ["MUJOCO_GL"] = "disable"
     try:
@@ -47,7 +47,7 @@ with suppress(Exception):  # for skills that draw by themselves; `make_renderer`
 
 
 def make_renderer(model: Any, height: int, width: int) -> Any:
-    """MuJoCo's renderer, by what MUJOCO_GL names, else by the display, else by EGL.
+    """MuJoCo's renderer with the backend of MUJOCO_GL, else of the display, else EGL.
 
     Raises:
         Unsupported: This machine cannot render so.
@@ -56,7 +56,7 @@ def make_renderer(model: Any, height: int, width: int) -> Any:
         raise Unsupported(f"MUJOCO_GL={ASKED} switches rendering off; unset it to draw")
     if ASKED not in (*ANY, *BACKENDS):
         raise Unsupported(f"MUJOCO_GL={ASKED} cannot be used here; unset it, or name one of {', '.join(BACKENDS)}")
-    # Only one of them: after a failure, a second one would abort the process in MuJoCo.
+    # Only one: after a failure, a second backend would abort the process in MuJoCo.
     backend = BACKENDS[ASKED] if ASKED in BACKENDS else GLFW if _has_display() else BACKENDS["egl"]
     try:
         if backend == GLFW and not _has_display():

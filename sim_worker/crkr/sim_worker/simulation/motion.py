@@ -35,7 +35,7 @@ class Motion:
         """This motion until `end` [s]; from then on the arm follows its swing, and the ball its `flight`.
 
         Args:
-            swing: What the arm was to do.
+            swing: The planned motion of the arm.
             flight: Times (m,) [s] after `end`, and the ball's positions (m, 3) [m].
             end: When the flight begins [s].
         """

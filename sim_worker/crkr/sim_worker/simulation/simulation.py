@@ -109,7 +109,7 @@ class Simulation:
         place(self.model, self._data, body, position)
 
     def activate(self, constraint: str, *, on: bool) -> None:
-        """Has an equality constraint of the scene hold, or not, in runs from now on."""
+        """Switches an equality constraint of the scene on or off for later runs."""
         self.model.eq_active0[self.model.equality(constraint).id] = on
 
     def run(self, start: Array, controls: Array) -> Recording:
@@ -175,7 +175,7 @@ class Simulation:
 
 @final
 class BallAlone:
-    """The same physics without the arm: a ball that nothing of the arm touches.
+    """The same physics without the arm.
 
     Args:
         spec: The scene, as `load_spec` gives it; its ball and its obstacles are kept.
@@ -211,7 +211,7 @@ class BallAlone:
 
 
 def place(model: Any, data: Any, body: str, position: Array) -> None:
-    """Moves a mocap body [m], in what runs start from and in the present data."""
+    """Moves a mocap body [m], in the model and in the current data."""
     model.body(body).pos = position
     data.mocap_pos[model.body(body).mocapid[0]] = position
 
@@ -229,9 +229,9 @@ def load_spec(folder: str) -> Any:
 
 
 def scene_xml(folder: str) -> str:
-    """The text of `scene.xml` in a folder of this package, e.g. "table_tennis", complete in itself.
+    """The text of `scene.xml` in a folder of this package, e.g. "table_tennis", with its includes written out.
 
-    Paths of included files are relative to that folder, as MuJoCo has it; Pinocchio would ignore the includes.
+    Paths of includes are relative to that folder, as in MuJoCo; Pinocchio would ignore includes.
     """
     root = files(PACKAGE)
     return ET.tostring(_complete(root, folder, "scene.xml"), encoding="unicode")

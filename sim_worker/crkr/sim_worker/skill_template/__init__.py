@@ -1,4 +1,4 @@
-"""The files that `crkr new` writes, under their template's name, and the function that writes them."""
+"""The template of a skill, and the function by which `crkr new` copies it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from crkr.protocol import Invalid
 
 __all__ = ["task_name", "write_skill"]
 
-_FILES = ("my_robot.py", "my_robot.toml", "test_my_robot.py.txt")  # the last is no test of this package
+_FILES = ("my_robot.py", "my_robot.toml", "test_my_robot.py.txt")  # the last is not a test of this package
 
 
 def task_name(module: str) -> str:
@@ -29,7 +29,7 @@ def write_skill(name: str, folder: Path) -> list[Path]:
         folder: Where to.
 
     Raises:
-        Invalid: The name cannot be a module's or is another module's, a file is there already, or none can be written.
+        Invalid: The name is not valid or is another module's, or a file exists or cannot be written.
     """
     module = name.removesuffix(".py")
     if not re.fullmatch(r"[a-z][a-z0-9_]{0,40}", module) or module.endswith("_"):

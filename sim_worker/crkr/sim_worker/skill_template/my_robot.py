@@ -25,7 +25,7 @@ class MyRobot:
         self._distance = 0.0
 
     def spec(self) -> TaskSpec:
-        """What is learned: the file beside this one, with the name and the seed that the command asks for."""
+        """The specification file beside this one, with the command's name and seed."""
         return self._spec
 
     def reset(self, rng: np.random.Generator) -> Floats:
@@ -34,11 +34,11 @@ class MyRobot:
         return np.array([self._distance])
 
     def restore(self, state: Floats) -> None:
-        """The situation of a stored state (d,), so that films show stored trials; leave it out where that cannot be."""
+        """Sets up a stored state (d,), so that films show stored trials; delete it if that is impossible."""
         self._distance = float(state[0])
 
     def execute(self, goal: Floats) -> TrialResult:
-        """Tries a goal (p,) and measures what came of it."""
+        """Tries a goal (p,) and measures the result."""
         speed, angle = goal
         flight = 2 * speed * np.sin(angle) / GRAVITY  # [s]
         time = np.linspace(0.0, flight, 20)
@@ -64,7 +64,7 @@ class MyRobot:
         ]
 
     def _trace(self, time: Floats, path: Floats) -> Trace:
-        """Where ball and mark are: positions (n, 2, 3) [m] and rotations (n, 2, 4), scalar last."""
+        """Poses of ball and mark: positions (n, 2, 3) [m] and rotations (n, 2, 4), scalar last."""
         mark = np.broadcast_to([self._distance, 0.0, 0.0], path.shape)
         upright = np.broadcast_to([0.0, 0.0, 0.0, 1.0], (len(time), 2, 4))
         return Trace(time, ("ball", "mark"), np.stack([path, mark], axis=1), upright, {"ball": path})

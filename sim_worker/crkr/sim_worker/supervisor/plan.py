@@ -1,4 +1,4 @@
-"""What one run of `crkr workers` is to do, and what it did."""
+"""The plan of one run of `crkr workers`, and its report."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ class RunPlan:
         endpoint: Where the server is.
         zenoh_config: Transport settings, or None.
         workers: Number of processes that train and judge.
-        total: Training trials that the task is to hold in all; None runs until stopped.
+        total: Total training trials of the task; None runs until stopped.
         demonstrations: Number that the task must have before training.
         evaluations: Fixed contexts to judge after each epoch; 0 judges nothing.
         seed: Seed of demonstrations and workers.
         timeout_s: Deadline of a call; it is repeated within the patience [s].
         patience_s: How long the server may be away [s].
-        stall_s: How long a worker with work may make no progress, its calls aside [s].
+        stall_s: Longest time without progress of a worker with work, not counting its calls [s].
         wait: Reports return when the model includes the trial.
         log_level: For the processes.
-        fresh: Delete the task that is there, and begin it anew.
+        fresh: Delete an existing task and start again.
     """
 
     skill: str
@@ -56,7 +56,7 @@ class RunPlan:
 @final
 @dataclass(slots=True)
 class RunReport:
-    """What a supervisor did.
+    """The report of a supervisor.
 
     Attributes:
         task: Name of the task.
@@ -65,7 +65,7 @@ class RunReport:
         successes: Number of these that succeeded.
         demonstrations: Number that it added.
         epochs: Success rate by criterion of each epoch that it judged.
-        trained: Training trials that the task holds at the end, as far as known.
+        trained: Training trials of the task at the end, as far as known.
         workers_lost: Number that ended too early.
         problem: Why it could not finish, or None.
         stopped_by: The signal that ended it, or None.
@@ -86,7 +86,7 @@ class RunReport:
 
     @classmethod
     def merged(cls, task: str, workers: int, reports: Sequence[RunReport]) -> RunReport:
-        """What supervisors of one task did together; `trained` and `seconds` are the largest, `problem` the first."""
+        """The joint report of several supervisors; `trained` and `seconds` are the largest, `problem` the first."""
         return cls(
             task,
             workers,
@@ -117,7 +117,7 @@ class RunReport:
         }
 
     def sentence(self) -> str:
-        """What was done, for people."""
+        """The report as text."""
         rate = f" ({self.successes} successful)" if self.trials else ""
         parts = [f"{self.trials} trials{rate}"]
         if self.demonstrations:

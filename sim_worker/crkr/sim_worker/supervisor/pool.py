@@ -1,4 +1,4 @@
-"""A pool of processes, each with a skill of its own."""
+"""A pool of processes, each with its own skill."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Result = TypeVar("Result")
 
 
 class ProcessLost(CrkrError):
-    """A process died, and with it what it worked on."""
+    """A process died, and its work is lost."""
 
 
 def spread(

@@ -16,9 +16,9 @@ from crkr.sim_worker.supervisor.child_process import MessagePipe, PipeClosed, ct
 __all__ = ["WorkerProcess", "WorkerProcesses"]
 
 FINISH_S: Final = 2.0
-"""A worker that was told to stop may finish its trial for this long [s]."""
+"""Time for a stopped worker to finish its trial [s]."""
 TERMINATE_S: Final = 1.0
-"""One that was terminated is killed after this [s]."""
+"""Time after which a terminated worker is killed [s]."""
 
 
 @final
@@ -43,14 +43,14 @@ class WorkerProcess:
     silent_s: float | None = None
 
     def send(self, order: str, **fields: Any) -> None:
-        """Sends an order; one that cannot arrive is ignored, since the end of the process is noticed anyway."""
+        """Sends an order; a failure is ignored, since the end of the process is noticed anyway."""
         try:
             self.pipe.send({"order": order, **fields})
         except PipeClosed:
             return
 
     def kill(self, silent_s: float) -> None:
-        """Kills it for `silent_s` without progress; its end is noticed as any other."""
+        """Kills it after `silent_s` without progress; its end is noticed like any other."""
         self.silent_s = silent_s
         self.process.kill()
 
@@ -84,7 +84,7 @@ class WorkerProcesses:
         self.stop()
 
     def start(self, name: str, body: Callable[[Any, Connection], None], settings: object) -> WorkerProcess:
-        """Starts `body(settings, connection)` in a process of its own."""
+        """Starts `body(settings, connection)` in a new process."""
         ours, theirs = self._context.Pipe()
         process = self._context.Process(target=body, args=(settings, theirs), name=name)
         with ctrl_c_blocked():

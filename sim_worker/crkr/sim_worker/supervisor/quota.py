@@ -1,4 +1,4 @@
-"""How many training trials may still be started, so that the task ends with exactly its total."""
+"""Limits the training trials that may still start, so that the task ends with exactly its total."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ __all__ = ["Quota"]
 class Quota:
     """Counts tickets for training trials; a ticket is one trial that may be started.
 
-    With one supervisor the total is met exactly, also where others report trials before its last tickets are granted;
-    what they report later exceeds it. Each of several supervisors takes a quarter of what is left and asks again, so
-    that the total is exceeded by at most the trials that the others had under way at the end.
+    One supervisor meets the total exactly, also if others report trials before its last tickets are granted; later
+    reports exceed it. Each of several supervisors takes a quarter of the remaining trials and asks again, so that the
+    total is exceeded by at most the others' running trials.
 
     Args:
-        total: Training trials that the task is to hold in all; None is no limit.
-        stored: Training trials that the task holds now.
+        total: Total training trials of the task; None: no limit.
+        stored: Current training trials of the task.
     """
 
     def __init__(self, total: int | None, stored: int) -> None:
@@ -61,7 +61,7 @@ class Quota:
         self._done += 1
 
     def observe(self, stored: int) -> None:
-        """Takes the number of training trials that the task holds; trials beyond our tickets are others'.
+        """Updates the number of training trials of the task; those beyond our tickets are others'.
 
         Stored trials of ours whose workers have not reported them yet count as others' until the next call: a ticket
         granted late is harmless, one too many cannot be taken back.
@@ -72,6 +72,6 @@ class Quota:
         self._share = max(1, (self.left or 0) // 4)
 
     def settle(self, stored: int) -> None:
-        """Starts again from the true count, with no ticket outstanding: those of lost workers come back."""
+        """Starts again from the true count without open tickets, so that those of lost workers return."""
         self._base, self._granted, self._done, self._others, self._others_at_most = stored, 0, 0, 0, 0
         self._seen = max(self._seen, stored)

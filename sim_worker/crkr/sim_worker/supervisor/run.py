@@ -69,7 +69,7 @@ def _wait_for_server(client: Client, patience_s: float, say: Callable[[str], Non
 
 
 def _demonstrate(plan: RunPlan, task: Task, skill: GuardedSkill, say: Callable[[str], None]) -> int:
-    """Records the demonstrations that the task lacks; a skill without any leaves the start to the server."""
+    """Records missing demonstrations; without any, the server chooses the first goals."""
     if not skill.can_demonstrate:
         return 0
     worker = f"{_name()}-demo"

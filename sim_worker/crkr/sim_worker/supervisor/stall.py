@@ -11,14 +11,14 @@ __all__ = ["StallWatch"]
 Worker = TypeVar("Worker", bound=Hashable)
 
 LONGEST_LOOK_S: Final = 2.0
-STARTING: Final = 10.0  # a simulator that is loaded, perhaps with many others at once, takes longer than a trial
+STARTING: Final = 10.0  # loading a simulator takes longer than a trial
 
 
 @final
 class StallWatch(Generic[Worker]):
     """Measures how long each worker has been silent while it had work.
 
-    Only time between two close calls counts: when the supervisor is suspended, as by Ctrl-Z, so are its workers.
+    Only time between two close calls counts, because Ctrl-Z suspends the supervisor together with its workers.
 
     Args:
         limit_s: Longest silence of a healthy worker [s]; ten times as long before its first event.

@@ -1,4 +1,4 @@
-"""The supervisor of one `crkr workers`: hands out trials and evaluations, and goes on when a worker is lost."""
+"""The supervisor of one `crkr workers`: hands out trials and evaluations, and survives lost workers."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ __all__ = ["Supervisor", "training_trials"]
 
 TICKETS_AHEAD: Final = 2  # so that a worker never waits for its supervisor
 POLL_S: Final = 0.2
-SHARED_POLL_S: Final = 0.05  # where others train towards the same total, and it is near, or this supervisor judges
+SHARED_POLL_S: Final = 0.05  # if others train towards the same total and it is near, or this supervisor judges
 LONGEST_POLL_S: Final = 2.0
-_LOOKS: Final = 10  # at the count, while what is left shrinks to a third
+_LOOKS: Final = 10  # looks while the rest shrinks to a third
 STATUS_TIMEOUT_S: Final = 1.0
 
 
@@ -40,7 +40,7 @@ class Supervisor:
     Args:
         plan: What to do.
         task: The task, with its demonstrations.
-        settings: What each process needs; each gets an identity of its own.
+        settings: Settings of each process; each gets its own identity.
         seeds: Seed of each worker.
         trained: Training trials stored at the start.
         judge: The role of the judge; None where this supervisor judges nothing.
@@ -134,13 +134,13 @@ class Supervisor:
 
     @property
     def _at_the_end(self) -> bool:
-        """Whether the last tickets are about to be granted: then the server is asked for others' trials before each."""
+        """Whether few tickets are left: then the server is asked for others' trials before each."""
         left = self._quota.left
         return left is not None and left <= 2 * TICKETS_AHEAD * len(self._workers)
 
     @property
     def _poll_s(self) -> float:
-        """Seconds between looks: a tenth of what is left to train takes, so that a hundred supervisors ask little."""
+        """Seconds between looks: a tenth of the remaining time, so that a hundred supervisors ask little."""
         judges = self._judge is not None and self._judge.clock is not None
         if self._at_the_end or (judges and self._quota.shared):
             return SHARED_POLL_S

@@ -16,7 +16,7 @@ __all__ = ["create_or_join", "delete_if_there", "record_demonstrations"]
 
 
 def delete_if_there(client: Client, name: str, say: Callable[[str], None]) -> None:
-    """Frees a task's name, so that it begins anew; raises `Conflict` where workers train it."""
+    """Deletes a task, so that it starts again; raises `Conflict` if workers train it."""
     try:
         client.task(name).delete()
     except UnknownTask:
@@ -31,8 +31,8 @@ def create_or_join(client: Client, spec: TaskSpec, say: Callable[[str], None], *
         client: Where.
         spec: What is to be learned.
         say: Prints a line for people.
-        its_settings: An existing task may have other learning settings, as long as states, goals and outcomes are the
-            same: its specification was edited on purpose.
+        its_settings: An existing task may have other learning settings, for an edited specification, as long as states,
+            goals and outcomes are the same.
 
     Raises:
         Conflict: The task exists and learns something else; the message names the fields.
@@ -53,13 +53,13 @@ def create_or_join(client: Client, spec: TaskSpec, say: Callable[[str], None], *
         listed = ", ".join(sorted(fields))
         raise Conflict(
             f"task {spec.name!r} exists with another specification; these fields differ: {listed}; "
-            "choose another name with --task, the options it was created with, or --fresh to begin it anew",
+            "choose another name with --task, the options it was created with, or --fresh to start it again",
             details=conflict.details,
         ) from conflict
 
 
 def _axes(spec: TaskSpec) -> list[object]:
-    """What a trial's numbers mean, and their bounds; scales and targets are settings."""
+    """The fields that define the meaning and bounds of a trial's numbers."""
     boxes = [[(axis.name, axis.unit, axis.low, axis.high) for axis in axes] for axes in (spec.state, spec.goal)]
     return [*boxes, [(entry.name, entry.unit) for entry in spec.outcome]]
 

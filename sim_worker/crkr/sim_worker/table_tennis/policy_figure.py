@@ -1,4 +1,4 @@
-"""What goals of table tennis mean: where, when and how the paddle would meet the ball."""
+"""Figure of table tennis goals: where, when and how the paddle would meet the ball."""
 
 from __future__ import annotations
 

@@ -17,8 +17,8 @@ __all__ = ["ArmAlone", "ArmRecording", "load_scene", "make_arm", "make_ball_alon
 
 FOLDER: Final = "table_tennis"
 TOOL: Final = ("handle", "paddle")
-# The net is out of the reach of the stretched arm, by more than 10 cm. Upper arm and shoulder never come near the table
-# before the forearm does.
+# The net is more than 10 cm out of the stretched arm's reach. Upper arm and shoulder never come near the table before
+# the forearm.
 NEAR: Final = tuple((part, "table") for part in ("elbow", "forearm", "wrist_1", "wrist_2", "wrist_3", *TOOL))
 AIR_DENSITY: Final = 1.2  # [kg/m^3], as in common.xml
 BALL_VOLUME: Final = 4 / 3 * np.pi * BALL_RADIUS**3  # [m^3]
@@ -98,7 +98,7 @@ class ArmAlone:
         """
         mujoco.mj_resetData(self._model, self._data)
         start = np.concatenate([[0.0], joints, np.zeros(6)])
-        # A sensor tells the pose that a step started from, so one step more than asked for.
+        # A sensor shows the pose at the start of a step, so one more step is needed.
         extended = np.concatenate([controls, controls[-1:]])
         states, sensed = self._rollout.rollout(
             self._model, self._data, start[None], extended[None], initial_warmstart=self._warmstart

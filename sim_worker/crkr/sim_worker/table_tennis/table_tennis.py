@@ -29,7 +29,7 @@ from crkr.sim_worker.table_tennis.tracker import judge, motion
 __all__ = ["ENVIRONMENTS", "TableTennis"]
 
 CRITERIA: Final = {"tuned": "strict", "paper": "paper"}  # the success that each preset learns from
-CLEAREST: Final = 0.3  # [m]; what is farther off says no more
+CLEAREST: Final = 0.3  # [m]; larger values count as this
 
 _log = logging.getLogger(__name__)
 
@@ -88,7 +88,7 @@ class TableTennis(ArmSkill):
 
         The outcome (7,) is the ball minus the point of the paddle's face at the hit time (3,), the landing point minus
         the aim (2,) [m], the time to spare [s] and the arm's least distance to the table [m]; NaN: not observed. For a
-        refused goal the paddle is taken where it was planned to be.
+        refused goal, the planned paddle counts.
 
         A refused goal gives the reason "invalid" (shape, NaN or bounds), "infeasible" (no swing within the joint
         limits) or "collision" (within 1 cm of table or net); a failed simulation gives "diverged".
@@ -167,7 +167,7 @@ class TableTennis(ArmSkill):
         return self._simulation.geoms()
 
     def _measured(self, refusal: RefusedGoal, ball: Array, goal: Array) -> TrialResult:
-        """The result of a refused goal, with what can be told of it: the planned miss, spare time and clearance."""
+        """The result of a refused goal, with the known outcomes: the planned miss, spare time and clearance."""
         outcomes = {"paper": False, "strict": False}
         if refusal.reason in ("invalid", "diverged"):
             return refusal.result(outcomes=outcomes)

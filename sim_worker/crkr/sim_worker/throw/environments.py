@@ -49,7 +49,7 @@ TOOL: Final = ("gripper", "finger_1", "finger_2")
 # The wall is out of reach. Upper arm and shoulder never come near the floor before the forearm does.
 FLOOR: Final = tuple((part, "floor") for part in ("forearm", "wrist_1", "wrist_2", "wrist_3", "gripper"))
 FOLLOW: Final = 0.04  # how long arm and ball are simulated together after the release [s]
-FREE: Final = 0.12  # how near to the wall, or to the height of the rim, the free ball is followed by formula [m]
+FREE: Final = 0.12  # distance to the wall, or to the rim's height, at which simulation replaces the formula [m]
 CHUNK: Final = 0.05  # [s]
 LONGEST: Final = 3.0  # of a flight [s]
 
@@ -81,7 +81,7 @@ class Flight:
 
     Attributes:
         released: The ball as it leaves the gripper.
-        passage: Where it would pass wall and bin with nothing in its way.
+        passage: Where it passes wall and bin in free flight.
         inside: Whether it ended in the bin.
         motion: Arm and ball, at the environment's own times, until the ball's end.
     """
@@ -170,7 +170,7 @@ def make_environment(name: str, arm: Arm, simulation: Simulation) -> Environment
 
 
 def _inside(layout: Layout, row: Array) -> bool | None:
-    """Whether a ball (9,) is in the bin for good; None where that is still open."""
+    """Whether a ball (9,) stays in the bin; None while undecided."""
     over = np.abs(row[:2] - layout.bin[:2]).max()
     if over < OPENING:
         return True if row[2] + 0.5 * row[5] ** 2 / GRAVITY < RIM else None

@@ -59,7 +59,7 @@ class Layout:
 
     @classmethod
     def of(cls, state: Array) -> Layout:
-        """That of a state (4,)."""
+        """The layout of a state (4,)."""
         return cls(*np.asarray(state, dtype=np.float64).tolist())
 
     @property
@@ -85,7 +85,7 @@ class Launcher:
     """A distribution of situations: uniform, redrawn until fair.
 
     Attributes:
-        name: As users choose it.
+        name: The name that users choose.
         low: (4,) least state [m].
         high: (4,) greatest one [m].
     """

@@ -1,4 +1,4 @@
-"""What is measured of a throw: where the ball passes wall and bin, what that costs, and why a throw failed."""
+"""The outcome of a throw: where the ball passes wall and bin, the cost, and the reason of a failure."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ COST_WIDTH: Final = 0.1  # [m]; a miss by the half opening then costs 0.68
 @final
 @dataclass(frozen=True, slots=True)
 class Passage:
-    """Where a ball would pass wall and bin with nothing in its way.
+    """Where a ball passes wall and bin in free flight.
 
     Attributes:
-        miss: (2,) its centre minus the bin's as it comes down to the rim, x and y [m]; NaN where it never does.
-        clearance: Least height of its lowest point over the wall's top edge [m], negative where it hits the wall; NaN
-            where it never comes there.
-        landing_time: When it comes down to the rim [s]; None where it never does.
+        miss: (2,) its centre minus the bin's as it comes down to the rim, x and y [m]; NaN if it never does.
+        clearance: Least height of its lowest point over the wall's top edge [m], negative if it hits the wall; NaN if
+            it never gets there.
+        landing_time: Time at the rim [s]; None if it never gets there.
     """
 
     miss: Array
@@ -36,8 +36,8 @@ class Passage:
 
     @classmethod
     def of(cls, ball: Ball, layout: Layout) -> Passage:
-        """That of a ball in free flight."""
-        # Followed under the floor, so that a throw that falls short still tells by how much.
+        """The passage of a ball in free flight."""
+        # Followed below the floor, so that the miss of a short throw is measured.
         before = AIR.fly_to_x(ball, layout.wall_x - WALL_HALF_THICKNESS, floor=-np.inf)
         behind = None if before is None else AIR.fly_to_x(before[1], layout.wall_x + WALL_HALF_THICKNESS, floor=-np.inf)
         lowest = np.nan if before is None or behind is None else min(before[1].z, behind[1].z)
@@ -56,7 +56,7 @@ class Passage:
 
     @property
     def cost(self) -> float:
-        """In [0, 1]: saturates with the miss and with what is lacking over the wall; 1 where neither is known."""
+        """In [0, 1]: saturates with the miss and the missing height over the wall; 1 if neither is known."""
         off = np.array([*self.miss, min(self.clearance, 0.0)])
         return 1.0 if np.isnan(off).any() else float(-np.expm1(-0.5 * (off @ off) / COST_WIDTH**2))
 

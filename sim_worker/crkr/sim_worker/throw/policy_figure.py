@@ -1,4 +1,4 @@
-"""What goals of the throw mean: where the ball leaves the hand, and how it would fly."""
+"""Figure of throw goals: where the ball leaves the hand, and its flight."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ __all__ = ["draw_throws"]
 
 INTERVAL: Final = 0.02  # [s]
 SPARSE: Final = 5  # wall and bin are drawn for one state in this many, or they would cover each other
-WITHOUT_LANDING: Final = 1.0  # how much of a flight is drawn that never comes down to the rim [s]
+WITHOUT_LANDING: Final = 1.0  # drawn part of a flight that never comes down to the rim [s]
 
 
 def draw_throws(figure: Any, arm: Arm, label: str, values: Array, states: Array, goals: Array) -> None:

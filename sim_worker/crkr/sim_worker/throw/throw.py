@@ -70,8 +70,8 @@ class Throw(ArmSkill):
         """Throws in the situation of the last `reset`.
 
         The outcome (4,) is the ball minus the bin's middle where it comes down to the rim (2,) and its height over the
-        wall [m], as they would be with nothing in its way, and the time to spare [s]; NaN: not observed. For a refused
-        goal the planned release is taken.
+        wall [m], both for a free flight, and the spare time [s]; NaN: not observed. For a refused goal, the planned
+        release counts.
 
         A refused goal gives the reason "invalid" (shape, NaN or bounds), "infeasible" (no swing within the joint
         limits) or "collision" (the arm would come within 1 cm of the floor or itself); a failed simulation gives
@@ -145,7 +145,7 @@ class Throw(ArmSkill):
             raise RefusedGoal("diverged", str(error)) from error
 
     def _measured(self, refusal: RefusedGoal, layout: Layout, goal: Array) -> TrialResult:
-        """The result of a refused goal, with what can be told of it: the planned passage and spare time."""
+        """The result of a refused goal, with the known outcomes: the planned passage and spare time."""
         if refusal.reason in ("invalid", "diverged"):
             return refusal.result()
         position, speed, _ = full_goal(np.asarray(goal, dtype=np.float64))

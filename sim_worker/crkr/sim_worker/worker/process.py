@@ -27,7 +27,7 @@ logger = logging.getLogger(__name__)
 
 FAILED: Final = 1
 FINISH_S: Final = 1.2
-"""When told to stop, a worker may complete its evaluations for this long [s]."""
+"""Time for a stopped worker to complete its evaluations [s]."""
 
 
 @final
@@ -63,7 +63,7 @@ class ProcessSettings:
 
 
 def run_worker(settings: ProcessSettings, connection: Connection) -> None:
-    """Obeys the supervisor until it is told to stop; tells it the reason of any other end."""
+    """Follows the supervisor's orders until it is stopped; reports the reason of any other end."""
     end_with_parent()
     keep_standard_output()
     configure_logging(settings.log_level)
@@ -87,7 +87,7 @@ def run_worker(settings: ProcessSettings, connection: Connection) -> None:
 
 
 def _work(settings: ProcessSettings, task: Task, skill: GuardedSkill, link: SupervisorLink) -> None:
-    """Runs a trial per ticket and, between two trials, one context of an evaluation if there is any."""
+    """Runs a trial per ticket, and between two trials one context of an evaluation."""
     telemetry, identity = Telemetry(task, skill.scene()), settings.identity
     loop = TrialLoop(task, skill, identity, link, telemetry, wait=settings.wait)
     evaluator = Evaluator(task, skill, settings.evaluations, identity.worker, link, telemetry)

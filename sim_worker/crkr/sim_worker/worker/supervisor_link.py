@@ -14,7 +14,7 @@ __all__ = ["Stopped", "SupervisorLink"]
 
 Answer = TypeVar("Answer")
 
-# Worth repeating with the same ids: the server may come back, drain its queue, or get its disk back.
+# Worth repeating with the same ids: the server may come back, or recover its queue or disk.
 PASSING: Final = (Unavailable, Busy, ShuttingDown, StorageError)
 PAUSE_S: Final = 0.5
 CHECK_S: Final = 5.0

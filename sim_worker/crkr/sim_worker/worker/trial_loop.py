@@ -23,7 +23,7 @@ __all__ = ["Identity", "TrialLoop", "tried"]
 
 logger = logging.getLogger(__name__)
 
-_MOST_REFUSED: Final = 10  # goals in a row that may not be tried; then the worker ends
+_MOST_REFUSED: Final = 10  # refused goals in a row after which the worker ends
 
 
 @final
@@ -72,7 +72,7 @@ class TrialLoop:
         skill: Executes the goals.
         identity: Names and seeds.
         link: To the supervisor.
-        telemetry: Where trials are shown.
+        telemetry: Publishes trials for displays.
         wait: Reports return when the model includes the trial; one worker then repeats a run of its seed.
     """
 
@@ -131,7 +131,7 @@ class TrialLoop:
         return trial
 
     def _ask(self) -> tuple[Prediction, float]:
-        """The answer for the next situation whose goal may be tried, and when it was asked for."""
+        """The answer for the next situation with a valid goal, and the time of the question."""
         low, high = self._task.spec.bounds
         for _ in range(_MOST_REFUSED):
             self._count += 1

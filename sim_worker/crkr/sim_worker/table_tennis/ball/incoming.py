@@ -124,5 +124,5 @@ def _off_table(ball: Ball, spin: Array) -> tuple[Ball, Array]:
         friction=TABLE_FRICTION,
         radius=BALL_RADIUS,
     )
-    # A hair above the table, so that the next landing is the next one.
+    # Slightly above the table, so that this landing is not found again.
     return Ball(ball.x, ball.y, TOUCH_HEIGHT + 1e-12, *velocity.tolist()), spin

@@ -37,7 +37,7 @@ class Launcher:
     """A distribution of incoming balls.
 
     Attributes:
-        name: As users choose it.
+        name: The name that users choose.
         low: (6,) least launch position [m] and velocity [m/s].
         high: (6,) greatest ones.
         centre: (6,) mean of the snapshots [m, m/s].

@@ -1,4 +1,4 @@
-"""What an environment does with a swing: one `Play`, which the tracker judges, or `Diverged`."""
+"""The result of a swing in an environment: a `Play`, which the tracker judges."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Play:
     Attributes:
         hit_time: When the goal asked for the hit [s].
         ball: The ball at that time.
-        untouched: (3,) where the ball would be at that time had nothing struck it earlier [m].
+        untouched: (3,) position of the ball at that time without an earlier hit [m].
         paddle: The paddle at that time, from measured joints.
         touched: Whether ball and paddle met.
         end: Until when the swing was followed [s].

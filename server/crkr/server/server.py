@@ -166,10 +166,13 @@ class Server:
             self._lanes.append(made)
             return dict.fromkeys(verbs.split(), made)
 
-        # Writes keep their order, and are stored even if the client gave up: a late report is still data.
-        changes = "recost remove amend undo configure rollback rename archive delete"
-        write = lane("write", f"report create_task {changes}", writer.work, MOST_REPORTS, 4096)
+        # A client's writes keep their order, and are stored even if it gave up: a late report is still data.
         fair: dict[str, Any] = {"fair": True, "patience_s": math.inf}
+        changes = "recost remove amend undo configure rename archive delete"
+        write = lane("write", "report", writer.store, MOST_REPORTS, 4096)
+        orderly: dict[str, Any] = {"rests": True, "longest_s": _LONGEST_S, "keeps_order": True}
+        write |= lane("changes", f"create_task {changes}", writer.change, **fair, **orderly)
+        write |= lane("rollback", "rollback", writer.change, limit=16, **fair)
         quick: dict[str, Any] = {"fair": True, "patience_s": _PATIENCE_S, "longest_s": _LONGEST_S}
         brief = lane("brief", "info status spec model", reader.work, **quick)
         lists = lane("lists", "tasks", reader.work, rests=True, **quick)
@@ -192,7 +195,7 @@ class Server:
         verbs = "predict report status spec model samples explain"
         intake(task_key("*", "*"), verbs, predictor.answer, self.tasks.look)
         intake(rpc_key("*"), "info tasks create_task")
-        intake(admin_key("*", "*"), f"refit {changes}", None, self.tasks.look_back)
+        intake(admin_key("*", "*"), f"refit rollback {changes}", None, self.tasks.look_back)
         self._token_key = live_server_key(str(server_id))
         return writer.commits
 

@@ -119,7 +119,7 @@ def skill_of(spec: TaskSpec) -> str | None:
     """The skill that a task names, or an installed one of the task's name; None without one.
 
     A task may come from somebody else, so only an installed skill is loaded, code in the working directory, or a file
-    of this user.
+    of this user. A family's member that names a package, which would be imported, is not.
 
     Raises:
         Invalid: It names another one.
@@ -128,7 +128,9 @@ def skill_of(spec: TaskSpec) -> str | None:
     if ":" not in name:
         return next((one for one in (name, spec.name) if one in installed_skills()), None)
     if _family(name):
-        return name
+        if ":" not in name.partition(":")[2]:
+            return name
+        raise Invalid(f"task {spec.name!r} names a package, as {name!r}; if you trust it, name the skill by --skill")
     place = _Place.of(name)
     found: Path | None = place.file
     if found is None:

@@ -23,12 +23,14 @@ from crkr.client.network.config import Connection
 from crkr.client.network.zenoh_transport import ZenohTransport
 from crkr.client.rpc import Rpc
 from crkr.protocol import MAX_MESSAGE_BYTES, Invalid, TaskSpec, task_key
+from crkr.server.learning.tasks import ServedTask
 from crkr.server.log import Event, SqliteLog
 from crkr.server.metrics.durations import Latencies
 from crkr.server.queries.intake import Intake
 from crkr.server.queries.queue import busy
 from crkr.server.queries.refusals import Refuser
 from crkr.server.session import open_session
+from crkr.server.verbs.rollback import read_rollback
 from crkr.server.workers import Workers
 
 Ask = Callable[..., dict[str, Any]]
@@ -150,13 +152,16 @@ def test_configure_stores_what_it_understood_and_nothing_else(
 def test_a_log_of_large_events_is_read_one_at_a_time(tmp_path: Path, reach: dict[str, Any]) -> None:
     count, size = 24, 2 * MIB
     with closing(SqliteLog(tmp_path)) as log:
-        log.create(TaskSpec.from_dict(reach))
+        task = ServedTask(TaskSpec.from_dict(reach))
+        task.note(log.create(task.created))
         for number in range(count):  # as a version stored them that took unknown fields over
             log.append_event("reach", "configure", {"changes": {"kernel": {"junk": bytes([number]) * size}}})
         tracemalloc.start()
         try:
             assert sum(1 for _ in log.reads.read("reach")) == count + 1
             assert sum(1 for _ in log.reads.blocks("reach", 2, 3, 0, count + 1)) == count + 1
+            assert not list(log.reads.rollbacks("reach"))
+            assert read_rollback({"to": 1}, task, log.reads).body["ids"] == []
             most = tracemalloc.get_traced_memory()[1]
         finally:
             tracemalloc.stop()

@@ -11,6 +11,7 @@ from contextlib import ExitStack
 from typing import Any
 
 import msgpack
+import numpy as np
 import pytest
 import zenoh
 from processes import RunningServer
@@ -76,6 +77,44 @@ def test_beyond_a_full_queue_requests_are_refused_as_busy_while_another_client_i
             found[error["code"]] += 1
     assert set(found) == {"page", "BUSY"}
     assert found["page"] >= 256
+
+
+def test_a_tasks_changes_hold_up_no_other_tasks_reports(
+    start_server: Callable[..., Any],
+    connect: Callable[[str], Ask],
+    plain: Callable[[str], zenoh.Session],
+    reach: dict[str, Any],
+    make_trial: MakeTrial,
+) -> None:
+    server = start_server()
+    ask = connect(server.endpoint)
+    outcomes = [{"name": f"miss {number}", "tolerance": 0.1, "group": "all"} for number in range(32)]
+    trials = [make_trial(number, outcome=[0.0] * 32, success=False) for number in range(256)]
+    ask("rpc/create_task", reach)
+    ask("rpc/create_task", {**reach, "name": "corrected", "outcome": outcomes})
+    ask("task/corrected/rpc/report", {"trials": trials})
+    message = {"ids": [each["id"] for each in trials]}
+    greedy = plain(server.endpoint)
+    replies = [
+        greedy.get(
+            "crkr/@v1/task/corrected/admin/amend",
+            zenoh.handlers.FifoChannel(1),
+            payload=msgpack.packb({**message, "outcome": [float(number)] * 32}),
+            consolidation=zenoh.ConsolidationMode.NONE,
+            timeout=60.0,
+        )
+        for number in range(1, 26)
+    ]
+    assert replies[0].recv().ok is not None
+    assert ask("task/reach/rpc/report", {"trials": [make_trial(600)], "wait": True})["accepted"] == 1
+    assert ask("rpc/create_task", {**reach, "name": "third"})["created"] is True
+    assert ask("task/corrected/rpc/status")["queues"]["amend"]["waiting"] > 0  # so both overtook the corrections
+    found = Counter("amended" if each.recv().ok is not None else "refused" for each in replies[1:])
+    version = ask("task/corrected/rpc/status")["seq"]
+    assert version == 1 + 256 + 1 + found["amended"]
+    ask("task/corrected/admin/rollback", {"to": version - 1})
+    last = ask("task/corrected/rpc/samples", {"last": 1})["samples"][0]
+    assert np.unique(np.frombuffer(last["outcome"]["data"])).tolist() == [float(found["amended"])]
 
 
 def test_a_client_that_asks_more_than_can_be_refused_does_not_make_another_task_wait_for_all_of_it(

@@ -112,7 +112,7 @@ def test_changes_that_would_wait_for_long_are_refused_and_those_that_were_taken_
                 payload=msgpack.packb({"changes": {"budget": budget}}),
                 timeout=30.0,
             )
-            writer.work([Request(queries.recv(), Latencies())])
+            writer.change([Request(queries.recv(), Latencies())])
             return replies
 
         def code(replies: Any) -> str:

@@ -107,7 +107,7 @@ def test_requests_that_wait_at_the_end_are_answered_by_what_was_stored(
         replies = plain(endpoint).get(
             task_key("reach", "report"), zenoh.handlers.FifoChannel(1), payload=payload, timeout=10.0
         )
-        writer.work([Request(queries.recv(), Latencies())])
+        writer.store([Request(queries.recv(), Latencies())])
         removal, archiving = OwnJob(), OwnJob()
         writer.commit(task, read_change("remove", {"ids": [UUID(int=2).bytes]}, task), removal)
         writer.commit(task, read_change("archive", {}, task), archiving)
@@ -190,8 +190,8 @@ def test_more_than_learning_can_answer_is_refused_as_busy(
             return code
 
         questions: list[tuple[Callable[[list[Request]], None], str, dict[str, Any]]] = [
-            (writer.work, "rpc/report", {"trials": [trial], "wait": True}),
-            (writer.work, "admin/configure", {"changes": {"budget": 5}}),
+            (writer.store, "rpc/report", {"trials": [trial], "wait": True}),
+            (writer.change, "admin/configure", {"changes": {"budget": 5}}),
             (reader.work, "rpc/explain", {"state": [0.5, 0.0], "sample_id": trial["id"]}),
         ]
         taken = [ask(*question) for question in questions]
@@ -200,7 +200,7 @@ def test_more_than_learning_can_answer_is_refused_as_busy(
         while learning.asked < 1024:
             learning.submit(task, (), lambda *_: None)
         assert [ask(*question)() for question in questions] == ["BUSY"] * 3
-        assert ask(writer.work, "rpc/report", {"trials": [make_trial(2)]})() == "OK"  # nobody waits for learning here
+        assert ask(writer.store, "rpc/report", {"trials": [make_trial(2)]})() == "OK"  # nobody waits for learning here
         learning.start()
         assert [code() for code in taken] == ["OK"] * 4
         assert [ask(*question)() for question in questions] == ["OK"] * 3

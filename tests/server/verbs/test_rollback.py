@@ -11,12 +11,14 @@ from typer import Typer
 from typer.testing import CliRunner
 
 from crkr.client import Client, Task
-from crkr.protocol import Invalid, TaskSpec, make_trials
+from crkr.protocol import Invalid, TaskSpec, id_from_wire, make_trials
 from crkr.server.data_commands import replay
 from crkr.server.inspection.verification import verify
 from crkr.server.learning.restore import FEW, relearned, restore
 from crkr.server.learning.tasks import ServedTask
-from crkr.server.log import PendingReport, SqliteLog
+from crkr.server.log import Event, PendingReport, SqliteLog, Stored
+from crkr.server.verbs.admin import read_change
+from crkr.server.verbs.rollback import read_rollback
 
 AXIS = {"low": -1.0, "high": 1.0}
 STATES = np.linspace(-1, 1, 15)[:, None]
@@ -105,6 +107,42 @@ def test_the_policy_of_each_version_comes_back_and_survives_a_restart(start_serv
     app.command()(replay)
     result = CliRunner().invoke(app, [str(server.data)], catch_exceptions=False)
     assert "log and model agree" in result.output
+
+
+def test_a_rollback_stores_no_more_than_what_it_changes(tmp_path: Path) -> None:
+    spec = TaskSpec.from_dict(specification("brief"))
+    log = SqliteLog(tmp_path / "data")
+    served = ServedTask(spec)
+    served.note(log.create(spec))
+    made = make_trials(spec, state=STATES, goal=STATES, outcome=0 * STATES, cost=0.5, success=True)
+    [stored] = log.append_reports([PendingReport("brief", made)])
+    assert isinstance(stored, Stored)
+    ids = [one.id for one in made]
+
+    def change(verb: str, message: dict[str, Any]) -> Event:
+        made = read_rollback(message, served, log.reads) if verb == "rollback" else read_change(verb, message, served)
+        body: Any = made.body
+        if made.complete is not None:
+            body = made.complete([served.corrections.present(one) for one in log.reads.trials("brief", made.ids)])
+        event = log.append_event("brief", made.kind, body)
+        served.note(event)
+        return event
+
+    for entry in stored.fresh:
+        served.note(entry)
+    change("recost", {"ids": [one.bytes for one in ids[:10]], "costs": [0.1] * 10})
+    version = served.seq
+    change("amend", {"ids": [one.bytes for one in ids[5:8]], "success": False})
+    change("remove", {"ids": [ids[9].bytes]})
+    there, again = (change("rollback", {"to": version}) for _ in range(2))
+    assert sorted(map(id_from_wire, there.body["ids"])) == sorted([*ids[5:8], ids[9]])
+    assert again.body["ids"] == []
+    assert [one["cost"] for one in map(served.corrections.present, log.reads.trials("brief", ids[:11]))] == [
+        *[0.1] * 10,
+        0.5,
+    ]
+    assert verify(log.reads, "brief").problems == ()
+    log.close()
 
 
 def test_a_long_log_is_rolled_back_as_a_short_one(tmp_path: Path) -> None:

@@ -204,10 +204,10 @@ def test_of_what_a_task_remembers_only_code_of_ones_own_is_loaded(
 
     assert remembered("") is None
     assert skill_of(replace(spec, name="table-tennis")) == "table-tennis"
-    for name in ("mine:make", f"{tmp_path}/mine.py:make", "table-tennis"):
+    for name in ("mine:make", f"{tmp_path}/mine.py:make", "table-tennis", "gymnasium:Reacher-v5"):
         assert remembered(name) == name
-    for name in ("os:abort", "elsewhere:make"):
-        with pytest.raises(Invalid, match="name yours by --skill"):
+    for name in ("os:abort", "elsewhere:make", "gymnasium:this:Reacher-v5"):  # which Gymnasium would import
+        with pytest.raises(Invalid, match="by --skill"):
             remembered(name)
     with pytest.raises(Invalid, match="there is no file"):
         remembered(f"{tmp_path}/gone.py:make")

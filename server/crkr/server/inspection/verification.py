@@ -95,7 +95,7 @@ def _relearn(log: LogReader, name: str, progress: Callable[[int], None]) -> tupl
     if not isinstance(first, Event):
         raise StorageError(f"the log of task {name!r} does not begin with its creation; restore a backup")
     learner, kept = Learner(TaskSpec.from_dict(first.body["spec"])), dict[bytes, _Kept]()
-    visible = Visible.of(log.events(name), log.last(name))
+    visible = Visible.of(log.rollbacks(name), log.last(name))
     for batch in batches(entries, _STEP):
         if isinstance(batch, Event):
             if batch.seq in visible:

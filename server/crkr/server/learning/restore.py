@@ -129,7 +129,7 @@ def restore(log: LogReader, name: str) -> ServedTask:
         raise StorageError(f"the log of task {name!r} does not begin with its creation; restore a backup")
     task = begun(first)
     last, radii = log.last(name), load_radii(log, name)
-    visible = Visible.of(log.events(name), last)
+    visible = Visible.of(log.rollbacks(name), last)
     if last <= FEW:
         with task.learner.bulk():
             _replay_at_once(task, _upto(log.read(name, 1), last), visible)
@@ -156,7 +156,7 @@ def _upto(entries: Iterator[LoggedTrial | Event], last: int) -> Iterator[LoggedT
 def relearned(log: LogReader, task: ServedTask, upto: int) -> Learner:
     """Relearns a task from its log up to a log position."""
     before = ServedTask(task.created)
-    visible = Visible.of(log.events(task.name), upto)
+    visible = Visible.of(log.rollbacks(task.name), upto)
     with before.learner.bulk():
         _replay_blocks(before, log, task.name, upto, visible)
     return before.learner

@@ -24,8 +24,9 @@ _RETRY_MS: Final = 100
 class ServedTask:
     """A task in service.
 
-    The writer changes `seq`, `agreed`, `configured`, `archived` and the counts at a commit. The learning thread
-    changes `learner`, `model`, `spec`, `eligible` and `fault`. `model` is replaced as a whole: readers need no lock.
+    The writer changes `seq`, `agreed`, `changed`, `configured`, `archived` and the counts at a commit. The learning
+    thread changes `learner`, `model`, `spec`, `eligible` and `fault`. `model` is replaced as a whole: readers need no
+    lock.
 
     Attributes:
         created: The specification as created.
@@ -35,6 +36,7 @@ class ServedTask:
         spec: The specification in force.
         agreed: The specification in the log; newer than `spec` while learning lags behind.
         seq: Last committed log position.
+        changed: Log position of the last event.
         configured: Log position of the last change of its settings.
         archived: Whether only reads are answered.
         deleted: Whether nothing is answered; the log keeps the task under another name until it is purged.
@@ -54,6 +56,7 @@ class ServedTask:
         "_packed",
         "agreed",
         "archived",
+        "changed",
         "configured",
         "corrections",
         "created",
@@ -82,7 +85,7 @@ class ServedTask:
         self.history = self.learner.history
         self.model: Model = self.learner.model
         self.spec = self.agreed = spec
-        self.seq = self.configured = 1
+        self.seq = self.changed = self.configured = 1
         self.archived = self.deleted = False
         self.samples: Counter[str] = Counter()
         self.corrections: Final = Corrections()
@@ -115,6 +118,7 @@ class ServedTask:
         if isinstance(entry, LoggedTrial):
             self.samples[entry.trial.kind] += 1
             return
+        self.changed = entry.seq
         self.corrections.note(entry)
         if entry.kind == "archive":
             self.archived = True

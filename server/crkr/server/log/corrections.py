@@ -35,9 +35,9 @@ class Visible:
         self.spans: Final = [(1, upto), *reversed(spans)]  # first and last positions, ascending
 
     @classmethod
-    def of(cls, events: Iterable[Event], upto: int) -> Visible:
-        """Makes the value from a task's events."""
-        return cls([(event.seq, event.body["to"]) for event in events if event.kind == "rollback"], upto)
+    def of(cls, rollbacks: Iterable[Event], upto: int) -> Visible:
+        """Makes the value from a task's rollbacks, in order."""
+        return cls([(event.seq, event.body["to"]) for event in rollbacks], upto)
 
     @property
     def whole(self) -> bool:
@@ -103,6 +103,15 @@ class Corrections:
         for one, change in changes:
             if one in self._values:
                 self._values[one] = {**self._values[one], **change}
+
+    def visible_at(self, seq: int) -> Visible:
+        """What counted at a log position."""
+        return Visible(self._rollbacks, seq)
+
+    def values(self, entry: Mapping[str, Any]) -> dict[str, Any]:
+        """Today's values of a trial as a log hands it out; whether a rollback hides it is not among them."""
+        known = self._values.get(entry["id"])
+        return values_of(entry) if known is None else known
 
     def present(self, entry: dict[str, Any]) -> dict[str, Any]:
         """A trial of the log, as a wire map with today's values."""

@@ -27,6 +27,7 @@ _TRIALS: Final = f"SELECT {ROW_COLUMNS} FROM trial WHERE task = ? AND seq > ? AN
 _BLOCKS: Final = f"SELECT {BLOCK_COLUMNS} FROM trial WHERE task = ? AND seq > ? AND seq <= ? ORDER BY seq LIMIT ?"
 _EVENTS: Final = """SELECT seq, time, kind, body, digest FROM event WHERE task = ? AND seq > ? AND seq <= ?
                     ORDER BY seq LIMIT ?"""
+_ROLLBACKS: Final = _EVENTS.replace("ORDER", "AND kind = 'rollback' ORDER")
 _EVENT: Final = "SELECT seq, time, kind, body, digest FROM event WHERE task = ? AND seq = ?"
 _MOVES: Final = "SELECT seq, time, kind, body, digest FROM event WHERE kind IN ('rename', 'delete')"
 _PAGE: Final = f"SELECT {ROW_COLUMNS} FROM trial WHERE task = ? AND seq > ? ORDER BY seq LIMIT ?"
@@ -134,6 +135,11 @@ class LogReader:
         """All events in order, without the trials."""
         with self._database.errors(f"read the log of task {task!r}"):
             yield from map(_event, self._pages(_EVENTS, self._key(task), 0, _END, _FEW))
+
+    def rollbacks(self, task: str) -> Iterator[Event]:
+        """All rollbacks in order. Other events, which may be large, are not read."""
+        with self._database.errors(f"read the log of task {task!r}"):
+            yield from map(_event, self._pages(_ROLLBACKS, self._key(task), 0, _END, _FEW))
 
     def event(self, task: str, seq: int) -> Event | None:
         """The event at a log position, or None."""

@@ -74,10 +74,11 @@ class FairQueue(Generic[_Job]):
     """Jobs that wait in a lane. Tasks take turns, and the clients within a task. Not thread-safe.
 
     Of one client's jobs for one task, the oldest and the shortest are taken alternately, so that a small question does
-    not wait for a huge one that is answered in slices.
+    not wait for a huge one that is answered in slices. A queue that keeps order always takes the oldest.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, keeps_order: bool = False) -> None:
+        self._keeps_order = keeps_order
         # Task -> client -> its jobs; the next one comes first.
         self._by_task: OrderedDict[str, OrderedDict[bytes, _Line[_Job]]] = OrderedDict()
         self._count = 0
@@ -100,7 +101,7 @@ class FairQueue(Generic[_Job]):
         """Take the next job."""
         task, clients = next(iter(self._by_task.items()))
         client, line = next(iter(clients.items()))
-        jobs, line.oldest = line.jobs, not line.oldest
+        jobs, line.oldest = line.jobs, self._keeps_order or not line.oldest
         self._place = 0 if line.oldest else min(range(len(jobs)), key=lambda place: jobs[place].left)
         job = jobs.pop(self._place)
         self._count -= 1

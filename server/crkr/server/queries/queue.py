@@ -47,7 +47,8 @@ class Lane(Generic[_Job]):
         most: Largest batch. A batch is what is waiting; nothing waits for it to fill.
         rests: While work is queued, sleep as long as the last batch took, so that a flooding client gets at most half a
             core.
-        fair: Tasks, and the clients of each, take turns. If not, requests keep their order, as writing needs.
+        fair: Tasks, and the clients of each, take turns. If not, requests keep their order.
+        keeps_order: In a fair lane, requests of one client for one task keep their order, as writing needs.
         patience_s: How long a request without a deadline may wait before it is refused with `Busy`; one with a deadline
             is refused once that has passed. None: deadlines are ignored.
         joins: Answer repeats of a waiting question together with it.
@@ -64,6 +65,7 @@ class Lane(Generic[_Job]):
         *,
         rests: bool = False,
         fair: bool = False,
+        keeps_order: bool = False,
         patience_s: float | None = None,
         joins: bool = False,
         longest_s: float | None = None,
@@ -71,7 +73,7 @@ class Lane(Generic[_Job]):
         self._limits, self._work, self._most, self._rests = dict(limits), work, most, rests
         self._patience_s, self._joins, self._longest_s = patience_s, joins, longest_s
         self._step_s = _FIRST_S  # estimated time of a step, its rest included
-        self._queue: deque[_Job] | FairQueue[_Job] = FairQueue() if fair else deque()
+        self._queue: deque[_Job] | FairQueue[_Job] = FairQueue(keeps_order) if fair else deque()
         self._waiting: Counter[str] = Counter()
         self._bytes = 0
         # Client -> its requests of each verb, and their bytes.

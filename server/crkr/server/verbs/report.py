@@ -1,4 +1,7 @@
-"""The writing verbs: commit, then acknowledge, then hand over to learning."""
+"""The writing verbs: commit, then acknowledge, then hand over to learning.
+
+Changes, which may take long, have a lane beside that of reports, and look at the log before they commit.
+"""
 
 from __future__ import annotations
 
@@ -43,6 +46,7 @@ logger = logging.getLogger(__name__)
 
 MOST_REPORTS: Final = 256  # in one commit
 _BY_LOG: Final = {"undo": read_undo, "rollback": read_rollback}  # verbs that look up former values
+_ATTEMPTS: Final = 8  # at a change whose task is changed meanwhile
 _WHERE: Final = frozenset({"rename", "delete"})  # changes of a task's place, not of its learning
 _KNOWN_BEFORE: Final = _WHERE | {"archive", "fit"}  # only the learner knows the effect of other changes
 _MOST_BACKLOG: Final = 20_000  # committed trials of a task that wait to be learned
@@ -54,7 +58,7 @@ _MOST_HELD_BYTES: Final = 64 * 2**20  # of the requests that wait
 
 @final
 class Writer:
-    """The work of the write lane: reports in groups, other requests one by one, in order of arrival."""
+    """The work of the lanes that write: `store` for reports in groups, `change` for other requests one by one."""
 
     def __init__(self, log: TaskLog, tasks: Tasks, workers: Workers, learning: Learning) -> None:
         self.commits: Final = Durations("crkr_commit_duration_seconds", "Durable commits to the task log.")
@@ -63,37 +67,35 @@ class Writer:
         self._waits = Waits()
         self._order = threading.Lock()  # from a commit until its entries are queued for learning
 
-    def work(self, requests: list[Request]) -> None:
-        """Answer each request, or let learning answer it."""
-        reports: list[Request] = []
+    def change(self, requests: list[Request]) -> None:
+        """Commit a request that is no report, and answer it, or let learning answer it; one at a time."""
         for request in requests:
-            if request.verb == "report":
-                reports.append(request)
-                continue
-            self._store(reports)
-            reports = []
             try:
-                if request.verb == "create_task":
-                    self._create(request)
-                else:
-                    self._change(request)
-            except BaseException as error:  # the requests behind it go on
+                (self._create if request.verb == "create_task" else self._change)(request)
+            except BaseException as error:
                 request.fail_unexpectedly(error)
-        self._store(reports)
 
-    def _store(self, requests: list[Request]) -> None:
+    def store(self, requests: list[Request]) -> None:
+        """Commit reports together, and answer each, or let learning answer it."""
         decoded: list[tuple[Request, ServedTask, ReportRequest]] = []
         for request in requests:
             try:
                 decoded.append((request, *self._decode(request)))
             except BaseException as error:
                 request.fail_unexpectedly(error)
-        if not decoded:
-            return
         with self._order:
             self._commit(decoded)
 
     def _commit(self, decoded: list[tuple[Request, ServedTask, ReportRequest]]) -> None:
+        for request, task, _ in decoded:
+            try:
+                _refuse_deleted(task)  # since its report was read, or
+                refuse_archived(task)
+            except CrkrError as error:
+                request.fail(error)
+        decoded = [one for one in decoded if not one[0].answered]
+        if not decoded:
+            return
         try:
             self._recover()
             pending = [PendingReport(task.name, asked.trials) for _, task, asked in decoded]
@@ -221,12 +223,11 @@ class Writer:
             request.reply(moved(before))
             return
         task = self._tasks.get(request.task)
-        if request.verb in _BY_LOG:
-            change = _BY_LOG[request.verb](message, task, self._log.reads)
-        else:
-            change = read_change(request.verb, message, task)
         self._refuse_when_full(request, task)
-        self.commit(task, change, request)
+        if request.verb in _BY_LOG:
+            self._agree(task, lambda: _BY_LOG[request.verb](message, task, self._log.reads), request)
+        else:
+            self._agree(task, lambda: read_change(request.verb, message, task), request)
 
     def commit(self, task: ServedTask, change: Change, request: Job, configured: int | None = None) -> None:
         """Commit a change, and answer the request once the model includes it; thread-safe.
@@ -235,13 +236,37 @@ class Writer:
             Conflict: The task was configured after log position `configured`, on which the change is based.
             Invalid: The task is archived, or has no such trial.
         """
-        with self._order:
-            if task.deleted:
-                raise UnknownTask(f"task {task.name!r} was deleted meanwhile", details={"task": task.name})
-            self._tasks.look(task.name)  # raises if another server serves it by now
-            if configured is not None and task.configured != configured:
-                raise Conflict(f"task {task.name!r} was configured again meanwhile; ask again")
-            self._commit_change(task, change, request)
+        self._agree(task, lambda: change, request, configured)
+
+    def _agree(self, task: ServedTask, make: Callable[[], Change], request: Job, configured: int | None = None) -> None:
+        """Make a change of the task as it is, and commit it; it is made anew where the task was changed meanwhile."""
+        for _ in range(_ATTEMPTS):
+            seen, change = task.changed, make()
+            body = self._completed(task, change)
+            with self._order:
+                _refuse_deleted(task)
+                self._tasks.look(task.name)  # raises if another server serves it by now
+                if configured is not None and task.configured != configured:
+                    raise Conflict(f"task {task.name!r} was configured again meanwhile; ask again")
+                self._recover()
+                if task.changed == seen:
+                    self._commit_change(task, change, body, request)
+                    return
+        raise busy(request.verb)
+
+    def _completed(self, task: ServedTask, change: Change) -> Mapping[str, Any] | None:
+        """The body of the change's event; None where nothing changes."""
+        if not change.ids:
+            return change.body
+        refuse_archived(task)
+        found = self._log.reads.trials(task.name, change.ids)
+        refuse_unknown(task.name, change.ids, found)
+        for trial in found:
+            if task.corrections.hides(trial):
+                raise Invalid(f"task {task.name!r} was rolled back to before trial {id_from_wire(trial['id'])}")
+        if change.complete is None:
+            return change.body
+        return change.complete([task.corrections.present(trial) for trial in found])
 
     def restart(self, task: ServedTask) -> None:
         """Commits a restart of the outcome model, after a change of the robot. Called by learning."""
@@ -260,7 +285,7 @@ class Writer:
             logger.warning("task %s: the robot has changed; the outcome model restarts at %d", task.name, event.seq)
             self._learning.submit(task, event, None)
 
-    def _commit_change(self, task: ServedTask, change: Change, request: Job) -> None:
+    def _commit_change(self, task: ServedTask, change: Change, body: Mapping[str, Any] | None, request: Job) -> None:
         if task.archived and change.kind == "archive":  # a repeat, perhaps because the answer was lost
             self._await(task, (), task.seq, change, request)
             return
@@ -268,16 +293,6 @@ class Writer:
             self._refuse_in_use(task, change)
         else:
             refuse_archived(task)
-        self._recover()
-        body: Mapping[str, Any] | None = change.body
-        if change.ids:
-            found = self._log.reads.trials(task.name, change.ids)
-            refuse_unknown(task.name, change.ids, found)
-            for trial in found:
-                if task.corrections.hides(trial):
-                    raise Invalid(f"task {task.name!r} was rolled back to before trial {id_from_wire(trial['id'])}")
-            if change.complete is not None:
-                body = change.complete([task.corrections.present(trial) for trial in found])
         if body is None:
             self._await(task, (), task.seq, change, request)
             return
@@ -321,6 +336,11 @@ def _settle(request: Job, failure: Exception | None, message: Mapping[str, Any])
         request.reply(message)
     else:
         request.fail_unexpectedly(failure)
+
+
+def _refuse_deleted(task: ServedTask) -> None:
+    if task.deleted:
+        raise UnknownTask(f"task {task.name!r} was deleted meanwhile", details={"task": task.name})
 
 
 def refuse_archived(task: ServedTask) -> None:

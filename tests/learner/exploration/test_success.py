@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.special import expit
@@ -62,6 +63,13 @@ def test_the_rate_is_local_and_falls_back_on_all_trials() -> None:
     assert there < 0.05
     assert far == 0.5
     assert rate.at(np.zeros(2)) == near
+
+
+@pytest.mark.parametrize("scale", [1.0, 40.0, 1e20])
+def test_the_rate_of_one_state_is_that_among_many(scale: float) -> None:
+    rng = np.random.default_rng(5)
+    rate, states = rate_of(scale * rng.normal(size=(30, 3)), rng.random(30)), scale * rng.normal(size=(20, 3))
+    assert np.allclose([rate.at(one) for one in states], rate.at(states), rtol=0.0, atol=1e-9)
 
 
 def test_the_rate_is_a_probability_where_all_succeeded() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Any
 from uuid import UUID
 
@@ -80,6 +81,37 @@ def test_trials_of_one_task_are_learned_in_one_step_whatever_other_tasks_do_betw
     assert learning.close(PATIENCE_S)
     assert models == {"one": [11, 12, 22], "other": list(range(2, 12))}
     assert (one.spec.budget, one.eligible) == (12, 20)
+
+
+def test_trials_of_several_robots_share_a_step_and_those_of_one_are_learned_at_once() -> None:
+    one = task("one")
+    models: list[int] = []
+    learned, told = threading.Semaphore(0), threading.Semaphore(0)
+
+    def note(_task: ServedTask, _before: Any, after: Any) -> None:
+        models.append(after.version)
+        learned.release()
+
+    paced = Learning(note, lambda _: None, lambda _: None, pace_s=1e6)
+
+    def report(seq: int, worker: str, done: Callable[..., None] | None = None) -> None:
+        paced.submit(one, [LoggedTrial(seq, 0.0, replace(trial(one, seq), worker=worker))], done)
+
+    paced.start()
+    for seq in range(2, 6):
+        report(seq, "a")
+        assert learned.acquire(timeout=PATIENCE_S)
+    for seq, worker in enumerate("bcd", 6):
+        report(seq, worker)
+    report(9, "e", lambda *_: told.release())  # as with `wait`: those before it need not wait either
+    assert told.acquire(timeout=PATIENCE_S)
+    assert learned.acquire(timeout=PATIENCE_S)
+    for seq in range(10, 74):  # as many as a step takes at most
+        report(seq, "f")
+    assert learned.acquire(timeout=PATIENCE_S)
+    report(74, "g")
+    assert paced.close(PATIENCE_S)
+    assert models == [2, 3, 4, 5, 9, 73]
 
 
 def test_a_change_to_a_long_log_leaves_the_other_tasks_a_thread(learning: Learning) -> None:

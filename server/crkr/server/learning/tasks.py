@@ -42,6 +42,7 @@ class ServedTask:
         deleted: Whether nothing is answered; the log keeps the task under another name until it is purged.
         samples: Stored trials by kind as reported, removed ones included.
         corrections: The corrections of stored trials.
+        rests: Until when the next trials wait for others [s, monotonic], unless their worker is that of the last trial.
         eligible: Number of trials that may be learned from.
         fault: Why learning stopped; "" while it runs.
         restarting: Whether a logged restart of its outcome model is not learned yet.
@@ -72,6 +73,7 @@ class ServedTask:
         "model",
         "restarting",
         "restored",
+        "rests",
         "samples",
         "seq",
         "spec",
@@ -90,6 +92,7 @@ class ServedTask:
         self.samples: Counter[str] = Counter()
         self.corrections: Final = Corrections()
         self.eligible = 0
+        self.rests: tuple[float, str | None] = (0.0, None)
         self.fault = self.damage = ""
         self.restored = True
         self.restarting = False

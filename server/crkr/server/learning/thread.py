@@ -3,6 +3,9 @@
 Tasks take turns of one step, so that a task with much to learn does not delay the others. A step may be long with
 thousands of active samples, or for a change to a long log. A second thread has the tasks with long steps. At most one
 thread works on a task at a time.
+
+A trial is learned at once where one robot reports, or somebody waits for it. Where several report, their trials wait
+for each other a little, as one step for all of them costs less.
 """
 
 from __future__ import annotations
@@ -31,6 +34,7 @@ logger = logging.getLogger(__name__)
 Notice = Callable[[ServedTask, Model, Model], None]
 
 _MOST_TRIALS: Final = 64  # trials of a group, which makes one new model
+_PACE_S: Final = 0.05  # from one step to the next, where several report
 _LONG_S: Final = 0.05  # a step this long moves its task to the second thread
 _LONG_LOG: Final = 5000  # entries from which on an event may take as long
 
@@ -49,14 +53,25 @@ class _Step:
 class _Line:
     """Waiting steps of one task, in log order."""
 
-    __slots__ = ("asked", "held", "long", "steps", "task", "trials")
+    __slots__ = ("asked", "held", "hurried", "long", "steps", "task", "trials")
 
     def __init__(self, task: ServedTask) -> None:
         self.task = task
         self.steps: deque[_Step] = deque()
         self.trials = self.asked = 0  # in the waiting steps
+        self.hurried = False  # the waiting steps do not wait for others
         self.held = False  # a thread works on an earlier step
         self.long = False  # the last step was
+
+    def rest_s(self) -> float:
+        """How long the waiting steps wait for others [s]."""
+        return 0.0 if self.hurried else self.task.rests[0] - time.monotonic()
+
+    def hurries(self, step: _Step) -> bool:
+        """Whether a new step and all before it are to be learned at once."""
+        if step.done is not None or isinstance(step.entries, Event) or self.trials >= _MOST_TRIALS:
+            return True
+        return _worker(step) == self.task.rests[1]  # nobody else reports
 
     @property
     def slow(self) -> bool:
@@ -75,6 +90,14 @@ class _WaitingTasks:
         self.lines: deque[_Line] = deque()
         self.changed = threading.Condition(lock)
 
+    def next(self, hurried: bool) -> _Line | None:
+        """The first task whose steps wait for no others, or with `hurried` the first of all."""
+        return next((line for line in self.lines if hurried or line.rest_s() <= 0.0), None)
+
+    def rest_s(self) -> float | None:
+        """How long until there is one [s]; None: no task waits."""
+        return min((max(line.rest_s(), 0.0) for line in self.lines), default=None)
+
 
 @final
 class Learning:
@@ -85,6 +108,7 @@ class Learning:
         due: Called with each task for which a fit is due.
         drifted: Called once with each task whose robot has changed, before the restart of its outcome model.
         relearn: Rebuilds the learner that a rollback goes back to.
+        pace_s: From one step of a task to the next, where several report and nobody waits for their trials.
 
     Attributes:
         steps: Times of the learning steps, new model included.
@@ -96,10 +120,12 @@ class Learning:
         due: Callable[[ServedTask], None],
         drifted: Callable[[ServedTask], None],
         relearn: Callable[[ServedTask, Event], Learner] | None = None,
+        pace_s: float = _PACE_S,
     ) -> None:
         text = "Steps of learning, each with a new model."
         self.steps: Final = Durations("crkr_learning_step_duration_seconds", text)
         self._notice, self._due, self._drifted, self._relearn = notice, due, drifted, relearn
+        self._pace_s = pace_s
         self._lines: dict[ServedTask, _Line] = {}  # of the tasks that have waiting steps, are held, or were long
         self._lock = threading.Lock()
         self._turns = (_WaitingTasks(self._lock), _WaitingTasks(self._lock))  # of the first thread, and of the second
@@ -150,13 +176,17 @@ class Learning:
                 line = self._lines.get(task)
                 if line is None:
                     line = self._lines[task] = _Line(task)
-                line.steps.append(_Step(task, entries, done))
+                step, hurried = _Step(task, entries, done), line.hurried
+                line.steps.append(step)
                 line.trials += _size(entries)
+                line.hurried = hurried or line.hurries(step)
                 line.asked += done is not None
                 self._backlog += _size(entries)
                 self._asked += done is not None
                 if len(line.steps) == 1 and not line.held:
                     self._line_up(line)
+                elif line.hurried and not hurried:
+                    self._wake()
                 return
         if done is not None:
             done(None, shutting_down())
@@ -199,11 +229,13 @@ class Learning:
     def _take(self, turns: _WaitingTasks) -> tuple[_Line, list[_Step]] | None:
         """The next step of the next task, joined with the trials right behind it; None at the end."""
         with self._lock:
-            while not turns.lines and not self._over():
-                turns.changed.wait(max(self._deadline - time.monotonic(), 0.0) if self._closing else None)
-            if self._over():
+            while not self._over():
+                if (line := turns.next(self._closing)) is not None:
+                    break
+                turns.changed.wait(max(self._deadline - time.monotonic(), 0.0) if self._closing else turns.rest_s())
+            else:
                 return None
-            line = turns.lines.popleft()
+            turns.lines.remove(line)
             line.held = True
             steps = line.steps
             group = [steps.popleft()]
@@ -211,6 +243,8 @@ class Learning:
             while steps and _joins(group[-1], steps[0]) and count < _MOST_TRIALS:
                 group.append(steps.popleft())
                 count += _size(group[-1].entries)
+            line.hurried = bool(steps)
+            line.task.rests = time.monotonic() + self._pace_s, _worker(group[-1])
             asked = sum(step.done is not None for step in group)
             line.trials -= count
             line.asked -= asked
@@ -298,6 +332,11 @@ def _learn(
 
 def _size(entries: Sequence[LoggedTrial] | Event) -> int:
     return 0 if isinstance(entries, Event) else len(entries)
+
+
+def _worker(step: _Step) -> str | None:
+    """The worker of the last trial of a step."""
+    return None if isinstance(step.entries, Event) or not step.entries else step.entries[-1].trial.worker
 
 
 def _joins(step: _Step, following: _Step) -> bool:

@@ -150,7 +150,7 @@ def converse(session: zenoh.Session) -> None:
 
 
 def provoke(session: zenoh.Session) -> None:
-    """What a client may be answered besides; STORAGE, SHUTTING_DOWN and INTERNAL need a server in trouble."""
+    """Provokes other answers; only STORAGE, SHUTTING_DOWN and INTERNAL need a server in trouble."""
     task = f"task/{SPEC['name']}"
     stored = next(pages(session, task))
     mistakes: dict[str, tuple[str, Message, int]] = {

@@ -1,6 +1,6 @@
 """A robot's node that learns to throw by the services of node.py: ask, throw, measure, report.
 
-With rclpy it looks alike: README.md has that one.
+README.md has the same program with rclpy.
 
     python examples/ros2/robot.py throw 200 --router 127.0.0.1:7447
 """

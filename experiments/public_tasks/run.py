@@ -66,7 +66,7 @@ class PushedBox:
     }
 
     def context(self, observed: Any) -> Any:
-        """Those of the seven numbers that differ between contexts."""
+        """The numbers, of seven, that differ between contexts."""
         return observed[[0, 1, 3, 6]]
 
     def measured(self, environment: Any, end: Any) -> tuple[bool, list[float], float]:

@@ -5,6 +5,7 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -63,7 +64,9 @@ def tell(python: str, part: str, endpoint: str, file: Path) -> Any:
 
 
 @needs_it
-def test_it_is_told_the_same_as_the_client_of_this_python(start_server: Any, tmp_path: Path) -> None:
+def test_it_is_told_the_same_as_the_client_of_this_python(
+    start_server: Callable[..., RunningServer], tmp_path: Path
+) -> None:
     told = []
     for number, python in enumerate((sys.executable, str(PYTHON310))):
         server = start_server(data=tmp_path / f"data{number}")

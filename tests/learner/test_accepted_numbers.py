@@ -1,4 +1,4 @@
-"""Whatever numbers a task may have, and whatever states it is told of: it learns, answers, fits and restarts."""
+"""With any accepted numbers and any states a task learns, answers, fits and restarts."""
 
 from __future__ import annotations
 

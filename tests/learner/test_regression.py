@@ -95,7 +95,7 @@ def test_an_appended_factor_equals_a_fresh_one() -> None:
     first = Regression.fit(kernel, z[:600].copy(), goals[:600], costs[:600].copy())
     appended = Regression.fit(kernel, z, goals, costs, first)
     fresh = Regression.fit(kernel, z, goals, costs)
-    assert not np.array_equal(appended.L, fresh.L), "the factor was made anew instead of extended"
+    assert not np.array_equal(appended.L, fresh.L), "the factor was recomputed instead of extended"
     for ours, theirs in zip(appended.over(queries), fresh.over(queries), strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-11)
 

@@ -72,7 +72,7 @@ def wrong_rows(text: str, repository: Path) -> list[str]:
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
 def test_every_module_and_test_that_a_document_names_exists(document: Path) -> None:
-    if document.name != "CHANGELOG.md":  # it tells of what was
+    if document.name != "CHANGELOG.md":  # it is history
         assert missing_paths(document.read_text(), REPOSITORY) == []
 
 

@@ -138,7 +138,7 @@ def test_a_defect_is_answered_as_internal_and_the_server_goes_on(
     lane.close(1.0)
 
 
-def test_a_signal_right_after_the_start_ends_the_server(free_port: int, tmp_path: Any) -> None:
+def test_a_signal_right_after_the_start_ends_the_server(free_port: int, tmp_path: Path) -> None:
     command = [sys.executable, "-m", "crkr.client", "server", "--data", str(tmp_path / "data")]
     for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
         listen = ["--listen", f"tcp/127.0.0.1:{free_port}"]

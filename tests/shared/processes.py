@@ -21,7 +21,7 @@ SERVER_PYTHON = os.environ.get("CRKR_SERVER_PYTHON", sys.executable)  # where th
 
 @dataclass(frozen=True, slots=True)
 class RunningServer:
-    """A `crkr server` process that answers; `data` is its directory, and of no use where it has a database."""
+    """A `crkr server` process that answers; `data` is its directory, unused with a database."""
 
     endpoint: str
     port: int
@@ -77,7 +77,7 @@ def command_line(pid: int) -> str:
 
 
 def running(pids: list[int]) -> list[int]:
-    """Those of the processes that still run; one that only waits to be collected does not."""
+    """The processes that still run; a zombie does not."""
     return [pid for pid in pids if command_line(pid)]
 
 

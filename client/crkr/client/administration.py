@@ -46,7 +46,7 @@ class Administration(ABC):
 
         Args:
             ids: The trials.
-            success: Whether they did what was wanted.
+            success: Whether they succeeded.
             cost: In [0, 1]; a new label brings its own where the task learns from labels.
             outcome: (q,) measured, NaN where not observed.
             kind: "trial", "demonstration", "evaluation" or "failed".

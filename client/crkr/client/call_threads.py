@@ -111,7 +111,7 @@ class AwaitedCalls:
         self._end = weakref.finalize(self, self._threads.close)
 
     async def run(self, call: Callable[..., _T], *args: Any, timeout_s: float | None = None, **kwargs: Any) -> _T:
-        """What the call returns; it is told the time that is left to it."""
+        """Returns the call's result; passes it the remaining time."""
         check_not_forked()
         loop = asyncio.get_running_loop()
         deadline = loop.time() + (self.timeout_s if timeout_s is None else positive(timeout_s))

@@ -37,7 +37,7 @@ class Row:
         kind: The protocol's kind.
         worker: The worker that reported it, "" if unknown.
         cost: In [0, 1], or None.
-        success: Whether it did what was wanted.
+        success: Whether it succeeded.
         reason: How it ended, in the skill's words.
         outcomes: Success by criterion, e.g. {"paper": True, "strict": False}.
         mean_cost: Training trials only: mean cost of the last 50 of them, or None.

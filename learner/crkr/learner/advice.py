@@ -185,7 +185,7 @@ def _outcome_constant(seen: _Seen) -> str | None:
     names = _named(constant, [entry.name for entry in seen.spec.outcome])
     if names is None:
         return None
-    return f"outcome {names} is the same in every trial, so that it says nothing of the goal: report a measured number"
+    return f"outcome {names} is the same in every trial, so it says nothing about the goal: report a measured number"
 
 
 def _state_outside(seen: _Seen) -> str | None:

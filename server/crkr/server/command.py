@@ -1,4 +1,4 @@
-"""`crkr server`: runs the service until it is told to stop."""
+"""`crkr server`: runs the service until it is stopped."""
 
 from __future__ import annotations
 

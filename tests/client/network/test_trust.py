@@ -6,6 +6,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 from uuid import UUID, uuid4
 
@@ -13,7 +14,7 @@ import msgpack
 import numpy as np
 import pytest
 import zenoh
-from processes import Processes
+from processes import Processes, RunningServer
 from putting import practise, specification
 
 from crkr.client import Client, Task
@@ -115,7 +116,7 @@ def test_another_client_that_answers_on_the_servers_keys_is_not_believed(
         assert rogue.asked >= 10
 
 
-def test_an_outbox_ignores_other_clients_answers_too(task: Task, shared_endpoint: str, tmp_path: Any) -> None:
+def test_an_outbox_ignores_other_clients_answers_too(task: Task, shared_endpoint: str, tmp_path: Path) -> None:
     with session(shared_endpoint) as stranger, task.outbox(tmp_path / "box") as outbox:
         Rogue(stranger, "crkr/@v1/**", True, lie)
         for number in range(20):
@@ -150,7 +151,7 @@ def test_without_a_server_another_client_s_answer_is_named_and_ignored(make_peer
             client.info()
 
 
-def test_a_server_that_restarts_is_believed_again(start_server: Any, free_port: int) -> None:
+def test_a_server_that_restarts_is_believed_again(start_server: Callable[..., RunningServer], free_port: int) -> None:
     first = start_server(port=free_port)
     with Client(first.endpoint, timeout_s=PATIENCE_S) as client:
         before = client.info()["server_id"]
@@ -161,7 +162,7 @@ def test_a_server_that_restarts_is_believed_again(start_server: Any, free_port: 
 
 
 def test_behind_another_router_the_first_server_is_believed_until_it_is_gone(
-    start_server: Any, free_port: int, processes: Processes
+    start_server: Callable[..., RunningServer], free_port: int, processes: Processes
 ) -> None:
     """A router in between answers nothing itself, so that the server is known only by having answered first."""
     server = start_server()

@@ -82,7 +82,7 @@ def test_a_robot_killed_again_and_again_loses_no_report(start_server: Start, tmp
         found = stored(task)
     assert len(found) == len(set(found))
     assert set(said) <= set(found)
-    assert len(found) <= len(said) + 3, "only the one in hand may be there without having been said"
+    assert len(found) <= len(said) + 3, "only the current one may be there without a line"
 
 
 def test_a_damaged_trial_is_put_aside_and_the_others_arrive(

@@ -91,7 +91,7 @@ def run(shared_endpoint: str) -> Run:
 
 
 def content(task: Task, *, apart_from: tuple[str, ...] = ()) -> list[dict[str, Any]]:
-    """Everything the server tells of its trials, as plain data that compares."""
+    """Everything that the server says about its trials, as comparable plain data."""
     return [
         {name: repr(value) for name, value in _fields(stored).items() if name not in apart_from}
         for stored in task.iter_samples()

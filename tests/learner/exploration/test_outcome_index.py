@@ -41,7 +41,7 @@ def found(index: OutcomeIndex) -> Array:
 
 
 def observed(numbers: list[int]) -> Array:
-    """What `found` tells of these trials."""
+    """What `found` holds of these trials."""
     return np.array([number if number % 3 else np.nan for number in numbers], dtype=np.float64)
 
 
@@ -94,7 +94,7 @@ def test_the_trials_before_a_change_are_kept_apart_until_enough_came_since(make_
     index.rebuild()
     former = index.snapshot().former
     assert former is not None
-    assert len(former) == 500  # what came before the first change is of no use any more
+    assert len(former) == 500  # trials before the first change are useless
 
 
 def test_a_snapshot_stays_while_trials_come(make_spec: MakeSpec) -> None:

@@ -163,7 +163,7 @@ def test_an_older_state_is_refused_by_a_server_that_began_anew_until_it_has_it_a
 
 
 def test_an_older_state_is_refused_by_a_server_that_stood_by_until_it_has_it_all(
-    make_database: Callable[[], str], postgres: Any, processes: Any
+    make_database: Callable[[], str], postgres: Postgres, processes: Any
 ) -> None:
     url, said, taken = make_database(), list[str](), list[Any]()
     database = url.rpartition("/")[2]

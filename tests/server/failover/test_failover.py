@@ -46,7 +46,7 @@ def test_the_log_goes_from_server_to_server_under_load(
 
 
 def test_a_server_that_is_killed_while_it_takes_over_loses_nothing(
-    pair: Any, reporters: Any, postgres: Any, processes: Processes
+    pair: Any, reporters: Any, postgres: Postgres, processes: Processes
 ) -> None:
     owner, other = pair.members
     processes.wait_until(lambda: reporters.failed or len(reporters.acknowledged) > 30)

@@ -45,7 +45,7 @@ def left(
         assert ask("task/reach/admin/remove", {"ids": ids[5:7]})["removed"] == 2
         server.process.send_signal(how)
         server.process.wait(timeout=60)
-        (server.data / "crkr.sqlite3-shm").unlink(missing_ok=True)  # memory that processes share, made anew
+        (server.data / "crkr.sqlite3-shm").unlink(missing_ok=True)  # shared memory, which SQLite creates again
         return Path(server.data)
 
     return leave

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 from uuid import UUID
 
@@ -21,7 +22,7 @@ def specification() -> TaskSpec:
 
 
 def test_a_restart_of_the_outcome_model_is_told_and_survives_the_server(
-    start_server: Callable[..., Any], tmp_path: Any
+    start_server: Callable[..., Any], tmp_path: Path
 ) -> None:
     server = start_server(data=tmp_path / "data")
     rng, probes = np.random.default_rng(3), np.random.default_rng(4).uniform(-0.5, 0.5, (20, 2))

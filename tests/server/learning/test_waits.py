@@ -93,7 +93,7 @@ def test_changes_that_would_wait_for_long_are_refused_and_those_that_were_taken_
     log: SqliteLog, reach: dict[str, Any], free_port: int, plain: Callable[[str], zenoh.Session]
 ) -> None:
     def ignore(_task: ServedTask, _before: Model | None = None, _after: Model | None = None) -> None:
-        """Nobody is told of new models here."""
+        """Publishes no new models."""
 
     tasks, learning = Tasks(), Learning(ignore, ignore, lambda _: None)
     for name in ("reach", "other"):

@@ -111,7 +111,7 @@ def test_a_restart_from_kept_radii_and_one_without_give_the_same_task(database: 
     save_radii(log, "reach", radii)
     log.append_reports([PendingReport("reach", (trial(10**6, np.random.default_rng(5)),))])
     second = restore(log.reads, "reach")
-    log.save_cache("reach", 1, b"")  # of no use: all is found anew
+    log.save_cache("reach", 1, b"")  # useless: all is computed again
     third = restore(log.reads, "reach")
     log.close()
     assert second.seq == first.seq + 1

@@ -51,7 +51,7 @@ def test_a_second_server_is_refused_though_the_lock_file_was_removed(directory: 
     (directory / "lock").unlink()
     with pytest.raises(StorageError, match="in use by another process"):
         SqliteLog(directory)
-    log.append_reports(pending(4))  # makes the file anew
+    log.append_reports(pending(4))  # creates the file again
     with pytest.raises(StorageError, match=f"in use by process {os.getpid()}"):
         SqliteLog(directory)
     log.close()

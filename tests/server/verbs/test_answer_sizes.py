@@ -8,6 +8,7 @@ from uuid import UUID, uuid4
 import msgpack
 import numpy as np
 import pytest
+from processes import RunningServer
 
 from crkr.protocol import MAX_MESSAGE_BYTES, TaskSpec, Trial, most_active
 from crkr.server.log import PendingReport, SqliteLog
@@ -56,7 +57,9 @@ def test_one_task_is_asked_for_by_its_name(ask: Ask, reach: dict[str, Any]) -> N
     }
 
 
-def test_a_log_keeps_its_id_and_no_other_has_it(start_server: Any, connect: Connect, tmp_path: Path) -> None:
+def test_a_log_keeps_its_id_and_no_other_has_it(
+    start_server: Callable[..., RunningServer], connect: Connect, tmp_path: Path
+) -> None:
     server = start_server(data=tmp_path / "one")
     ask = connect(server.endpoint)
     for name in ("first", "second"):
@@ -73,7 +76,7 @@ def test_a_log_keeps_its_id_and_no_other_has_it(start_server: Any, connect: Conn
 
 
 @pytest.fixture
-def many(start_server: Any, connect: Connect) -> Ask:
+def many(start_server: Callable[..., RunningServer], connect: Connect) -> Ask:
     """A server with one page of tasks and five tasks more."""
     ask = connect(start_server().endpoint)
     for number in range(PAGE + 5):
@@ -107,7 +110,9 @@ def test_many_tasks_are_listed_in_pages_and_named_in_part(many: Ask) -> None:
     assert len(error["message"]) < 1000
 
 
-def test_a_list_that_no_message_holds_says_what_to_ask_instead(start_server: Any, connect: Connect) -> None:
+def test_a_list_that_no_message_holds_says_what_to_ask_instead(
+    start_server: Callable[..., RunningServer], connect: Connect
+) -> None:
     ask = connect(start_server().endpoint)
     names = [f"run-{number}" for number in range(130)]
     for name in names:
@@ -177,7 +182,7 @@ def test_a_budget_whose_model_no_message_holds_is_refused(ask: Ask) -> None:
 
 
 def test_a_model_from_an_earlier_log_that_no_message_holds_answers_all_the_same(
-    start_server: Any, connect: Connect, tmp_path: Path
+    start_server: Callable[..., RunningServer], connect: Connect, tmp_path: Path
 ) -> None:
     spec, most = TaskSpec.from_dict(wide("early", budget=5000)), most_active(256, 256)
     rng = np.random.default_rng(5)

@@ -51,7 +51,7 @@ class OwnJob:
 
 
 def ignore(_task: ServedTask, _before: Model | None = None, _after: Model | None = None) -> None:
-    """Nobody is told of new models here."""
+    """Publishes no new models."""
 
 
 @pytest.fixture

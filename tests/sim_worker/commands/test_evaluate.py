@@ -22,7 +22,7 @@ def evaluate(start_command: Start, endpoint: str, *words: str, task: str = "reac
 
 
 def distances(task: Any) -> np.ndarray[Any, Any]:
-    """How far the policy's goals are from the right ones in the contexts of seed 4, worked out here."""
+    """How far the policy's goals are from the right ones in the contexts of seed 4, computed here."""
     states = np.array([fresh_rng(4, context).uniform(-1.0, 1.0, 2) for context in range(CONTEXTS)])
     turn = math.radians(30.0)
     rotation = np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])

@@ -1,4 +1,4 @@
-"""A skill of one's own: begun by `crkr new`, tried by `crkr check-skill`, run, changed and run anew."""
+"""A skill of the user: made by `crkr new`, checked by `crkr check-skill`, run, changed and run again."""
 
 import json
 import re

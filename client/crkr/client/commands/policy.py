@@ -55,9 +55,7 @@ def report(
     task: TaskName,
     state: _State,
     goal: Annotated[str, typer.Option("--goal", help="The executed goal, in quotes.")],
-    success: Annotated[
-        bool, typer.Option("--success/--failure", "--hit/--miss", help="Whether it did what was wanted.")
-    ],
+    success: Annotated[bool, typer.Option("--success/--failure", "--hit/--miss", help="Whether the trial succeeded.")],
     cost: Annotated[
         float | None,
         typer.Option("--cost", help="In [0, 1]; omitted for kind failed, and where the task learns from labels."),

@@ -23,7 +23,7 @@ def trials(
     task: TaskName,
     last: Annotated[int, typer.Option("--last", "-n", min=1, help="How many of the newest.")] = 10,
     worst: Annotated[
-        bool, typer.Option("--worst", help="Those of highest cost instead, as in --worst --last 3; reads all trials.")
+        bool, typer.Option("--worst", help="Trials of highest cost instead, as in --worst --last 3; reads all trials.")
     ] = False,
     ids: Annotated[list[str] | None, typer.Option("--id", metavar="UUID", help="One trial; may be repeated.")] = None,
     as_json: Json = False,
@@ -57,7 +57,7 @@ def amend(
     task: TaskName,
     ids: Annotated[list[str], typer.Argument(metavar="ID...", help="Ids of the trials, from `crkr trials`.")],
     success: Annotated[
-        bool | None, typer.Option("--success/--failure", "--hit/--miss", help="Whether it did what was wanted.")
+        bool | None, typer.Option("--success/--failure", "--hit/--miss", help="Whether the trials succeeded.")
     ] = None,
     cost: Annotated[float | None, typer.Option("--cost", help="In [0, 1].")] = None,
     outcome: Annotated[

@@ -81,7 +81,7 @@ class ZenohTransport(Closing):
     ) -> bytes:
         """As `Transport.query`.
 
-        The server is told how long a patient attempt lasts, and drops what it would answer too late. A lost connection
+        The server learns how long a patient attempt lasts, and drops late requests. A lost connection
         ends such an attempt too.
         """
         if len(payload) > MAX_MESSAGE_BYTES:

@@ -48,7 +48,7 @@ class FileLock:
             else:  # its holder removed it between the two steps
                 os.close(file)
         self._identity = _identity(os.fstat(self._file))
-        with suppress(OSError):  # for people only; the database tells of a full disk
+        with suppress(OSError):  # for people only; the database reports a full disk
             os.ftruncate(self._file, 0)
             os.write(self._file, f"{os.getpid()}\n".encode())
         leave_in_child(self._file)

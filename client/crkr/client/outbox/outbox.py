@@ -236,7 +236,7 @@ class Outbox(Closing):
                 self._send(rows[:middle])
                 self._send(rows[middle:])
                 return
-            self._check_task(anew=True)  # the task may be wrong, not the trial
+            self._check_task(again=True)  # the task may be wrong, not the trial
             self._put_aside(rows[0][0], f"{error.code}: {error.message}")
             return
         self._check_task()  # a server with other data may have answered
@@ -250,10 +250,10 @@ class Outbox(Closing):
             self._pending -= 1
         _logger.warning("trial %d of the outbox %s was put aside: %s", number, self.path, error)
 
-    def _check_task(self, *, anew: bool = False) -> None:
+    def _check_task(self, *, again: bool = False) -> None:
         """Raises `Conflict` where the server has another task of that name, and `Invalid` where it is archived."""
         server = self._rpc.server_id(_ATTEMPT_S)
-        if server == self._server and not anew:
+        if server == self._server and not again:
             return
         spec, archived = self._look(_ATTEMPT_S)
         if differences := _differences(self.spec, spec):

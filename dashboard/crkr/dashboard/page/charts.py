@@ -156,7 +156,7 @@ def line_chart(
 
 
 def _tips(series: Sequence[Series], said: Callable[[float], str]) -> tuple[Array, list[str]]:
-    """Abscissas of the longest curve, at most `TIPS`, and what is told there."""
+    """Abscissas of the longest curve, at most `TIPS`, and their tips."""
     longest = max((each.curve for each in series), key=lambda curve: len(curve.trials))
     shown = longest.trials[:: -(-len(longest.trials) // TIPS)]
     texts = []

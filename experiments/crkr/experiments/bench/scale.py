@@ -153,7 +153,7 @@ def measure_places(directory: Path, turns: int = 3) -> Iterator[Measurement]:
     import ray
 
     os.environ.setdefault("RAY_AUTH_MODE", "disabled")  # else Ray writes a token into the home directory
-    os.environ.setdefault("RAY_worker_niceness", "0")  # else Ray's give way to the supervisors and to all other work
+    os.environ.setdefault("RAY_worker_niceness", "0")  # else Ray yields to the supervisors and all other work
     ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False, object_store_memory=10**8)
     os.environ["RAY_ADDRESS"] = ray.get_runtime_context().gcs_address
     rates: dict[str, list[float]] = {"Ray": [], "supervisors": []}

@@ -205,9 +205,9 @@ class OutcomeExplorer:
             yield near, self._updated(means[near], spread[near], posterior.of(near), means[near], local), local
         if len(far):
             means, spread, start = means[far], spread[far], posterior.g[far]
-            anew = self._model(z[far], start)
-            posterior = condition_within(means, spread, anew.line(start), self.scales)
-            yield far, self._updated(means, spread, posterior, start, anew), anew
+            refit = self._model(z[far], start)
+            posterior = condition_within(means, spread, refit.line(start), self.scales)
+            yield far, self._updated(means, spread, posterior, start, refit), refit
 
     def _updated(
         self, means: Array, spread: Array, posterior: Posterior, start: Array, model: OutcomeModel

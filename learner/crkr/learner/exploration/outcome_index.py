@@ -26,7 +26,7 @@ from crkr.protocol import Array
 __all__ = ["LARGEST_SINGLE", "SEARCHED", "ObservedTrials", "OutcomeIndex", "in_single_precision"]
 
 SEARCHED: Final = 12_288
-_UNSEALED: Final = SEARCHED - UNIT  # at least so many of the newest trials are not sealed
+_UNSEALED: Final = SEARCHED - UNIT  # least number of newest trials that are not sealed
 _REPLACED: Final = 400  # trials after a change, from which on earlier ones are dropped
 LARGEST_SINGLE: Final = 1e30  # squared length up to which single precision is used
 _ALIGNED: Final = 4  # row lengths are multiples of this, for fast matrix products
@@ -260,7 +260,7 @@ class OutcomeIndex:
         return sealed.extended(self._single.rows, units, self._X.rows.shape[1])
 
     def usable(self, rows: Indices) -> Indices:
-        """Those of some rows that show what a goal leads to on the present robot."""
+        """The rows among these that show what a goal leads to on the present robot."""
         rows = rows[rows >= self._start]
         return np.asarray(rows[self._store.tried(rows)])
 

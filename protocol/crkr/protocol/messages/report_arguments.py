@@ -30,7 +30,7 @@ class TrialFields(_Told, total=False):
         state: (d,) or (b, d); state and goal may be omitted with an answer of `predict`.
         goal: (p,) or (b, p) executed, within the bounds; overrides the answer's goals.
         cost: In [0, 1], one or b; None or omitted for kind "failed", and where the task's cost is a "label".
-        success: Whether it did what was wanted: one flag, or b.
+        success: Whether it succeeded: one flag, or b.
         kind: "trial", "demonstration", "evaluation" or "failed", for all of them; "trial" unless given.
         id: One id, or b; the answer's, or new ones, unless given.
         outcome: (q,) or (b, q) measured, NaN where not observed.

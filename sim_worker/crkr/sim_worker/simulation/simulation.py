@@ -105,7 +105,7 @@ class Simulation:
         return state
 
     def place(self, body: str, position: Array) -> None:
-        """Has a body that only stands, a mocap body of the scene, stand at `position` (3,) [m] from now on."""
+        """Moves a mocap body of the scene to `position` (3,) [m]."""
         place(self.model, self._data, body, position)
 
     def activate(self, constraint: str, *, on: bool) -> None:
@@ -193,7 +193,7 @@ class BallAlone:
         self.timestep = float(self.model.opt.timestep)
 
     def place(self, body: str, position: Array) -> None:
-        """Has a body that only stands, a mocap body of the scene, stand at `position` (3,) [m] from now on."""
+        """Moves a mocap body of the scene to `position` (3,) [m]."""
         place(self.model, self._data, body, position)
 
     def path(self, ball: Array, duration: float, spin: Array | None = None) -> Array:

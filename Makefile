@@ -18,8 +18,8 @@ setup: ## make .venv from the lock; quick when it is complete
 demo: setup ## learn table tennis from nothing, on this machine; ARGS="--trials 200 --json"
 	@$(BIN)/crkr demo $(ARGS)
 
-test: lint ## run ruff, mypy and pytest, on up to eight cores; ARGS="-k name"
-	@OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n auto --maxprocesses 8 --dist worksteal $(ARGS)
+test: lint ## run ruff, mypy and pytest, in up to eight processes; ARGS="-k name"
+	@OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n auto --dist worksteal $(ARGS)
 
 lint: setup ## run ruff and mypy only
 	@$(BIN)/ruff check .

@@ -26,6 +26,13 @@ settings.load_profile("values")
 signal.signal(signal.SIGINT, signal.default_int_handler)
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers() -> int:
+    """Three workers for two cores, at most eight: tests wait for other processes a third of the time."""
+    return min(8, (os.cpu_count() or 1) * 3 // 2)
+
+
 INFO = "crkr/@v1/rpc/info"
 READY_WITHIN_S = 60.0
 GONE_WITHIN_S = 60.0

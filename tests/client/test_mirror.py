@@ -32,7 +32,7 @@ PATIENCE_S = 20.0
 
 @pytest.fixture
 def client(shared_endpoint: str) -> Iterator[Client]:
-    with Client(shared_endpoint) as client:
+    with Client(shared_endpoint, timeout_s=30.0) as client:
         yield client
 
 
@@ -137,7 +137,7 @@ def test_a_closed_one_answers_no_more(client: Client) -> None:
 
 
 def test_its_thread_ends_with_the_client_and_the_copy_says_that_it_is_not_refreshed(shared_endpoint: str) -> None:
-    with Client(shared_endpoint) as client:
+    with Client(shared_endpoint, timeout_s=30.0) as client:
         mirror = client.create_task(specification()).mirror(every_s=0.05, pause_s=0.01)
         thread = thread_named(f"crkr-mirror-{mirror.name}")
     thread.join(PATIENCE_S)
@@ -223,7 +223,7 @@ def test_a_refresh_ends_by_its_deadline_while_another_waits_for_a_server_that_st
 def test_client_mirror_and_outbox_may_be_closed_in_any_order(
     shared_endpoint: str, tmp_path: Path, processes: Processes, order: tuple[str, ...]
 ) -> None:
-    client = Client(shared_endpoint)
+    client = Client(shared_endpoint, timeout_s=30.0)
     task = client.create_task(specification())
     practise(task, 5, 1)
     open_ones: dict[str, Any] = {"client": client, "mirror": task.mirror(), "outbox": task.outbox(tmp_path / "box")}

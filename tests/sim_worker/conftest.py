@@ -127,7 +127,10 @@ def finished_run(
     shared_endpoint: str, tmp_path_factory: pytest.TempPathFactory, processes: Processes
 ) -> Iterator[FinishedRun]:
     """Two workers, 120 trials, ten fixed contexts, seed 1."""
-    with commands(tmp_path_factory.mktemp("finished"), processes) as start, Client(shared_endpoint) as client:
+    with (
+        commands(tmp_path_factory.mktemp("finished"), processes) as start,
+        Client(shared_endpoint, timeout_s=30.0) as client,
+    ):
         task = client.task("reaching")
         with task.subscribe(("trial", "evaluation")) as subscription:
             options = {"-n": 2, "--trials": 120, "--evaluations": 10, "--seed": 1, "--connect": shared_endpoint}
@@ -159,7 +162,7 @@ def skills_here(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def client(shared_endpoint: str) -> Iterator[Client]:
     """A client of the shared server."""
-    with Client(shared_endpoint) as client:
+    with Client(shared_endpoint, timeout_s=30.0) as client:
         yield client
 
 

@@ -91,17 +91,16 @@ class Tally:
         return {name: self.interval(name) for name in self.criteria}
 
 
-def wilson_interval(successes: int, count: int, z: float = Z95) -> tuple[float, float]:
-    """Wilson's score interval for a proportion  [Wilson1927].
+def wilson_interval(successes: int, count: int) -> tuple[float, float]:
+    """Wilson's 95 % score interval for a proportion  [Wilson1927].
 
     Args:
         successes: Number of successes.
         count: Number of trials; 0 gives (0, 1).
-        z: Standard normal quantile, the default for 95 %.
     """
     if count == 0:
         return 0.0, 1.0
-    rate, shrink = successes / count, 1.0 + z * z / count
-    centre = (rate + z * z / (2 * count)) / shrink
-    half = z / shrink * math.sqrt(rate * (1.0 - rate) / count + z * z / (4 * count * count))
+    rate, shrink = successes / count, 1.0 + Z95 * Z95 / count
+    centre = (rate + Z95 * Z95 / (2 * count)) / shrink
+    half = Z95 / shrink * math.sqrt(rate * (1.0 - rate) / count + Z95 * Z95 / (4 * count * count))
     return max(0.0, centre - half), min(1.0, centre + half)

@@ -95,7 +95,7 @@ def test_a_specification_is_written_without_a_server_and_read_back_the_same(
     assert result.exit_code == 0, result.stderr
     assert f"crkr create {written}" in result.stdout
     assert run("create", str(tmp_path / "throw.toml"), "--write", "-").stdout == written.read_text()
-    with Client(shared_endpoint) as client:
+    with Client(shared_endpoint, timeout_s=30.0) as client:
         assert json.loads(written.read_text()) == client.task(task).spec.to_dict()
     assert data(run("create", str(written), "--json")) == {"name": task, "created": False}
     written.write_text(written.read_text() + "?")
@@ -132,7 +132,7 @@ def test_a_prediction_says_which_outcome_is_expected_of_the_goal(shared_endpoint
     spec = {"name": name, "state": [{"name": "x", **axis}], "goal": [{"name": "g", **axis}], "outcome": outcome}
     states, goals = rng.uniform(-1, 1, (60, 1)), rng.uniform(-1, 1, (60, 1))
     measured = np.column_stack([goals + 0.5, np.full(60, np.nan)])
-    with Client(shared_endpoint) as client:
+    with Client(shared_endpoint, timeout_s=30.0) as client:
         task = client.create_task(spec)
         task.report(state=states, goal=goals, cost=np.full(60, 0.5), success=True, outcome=measured, wait=True)
     shown = run("predict", name, "--state", "0").stdout.splitlines()
@@ -205,7 +205,7 @@ def test_the_status_of_a_task_says_first_how_well_it_learns_and_what_limits_it(
     run: Run, task: str, shared_endpoint: str
 ) -> None:
     rng = np.random.default_rng(2)
-    with Client(shared_endpoint) as client:
+    with Client(shared_endpoint, timeout_s=30.0) as client:
         for won in (False, True):
             states, goals = rng.uniform(0.1, 3.9, (200, 1)), rng.uniform([1, -0.5], [7, 0.5], (200, 2))
             success = [won and number % 2 > 0 for number in range(200)]
@@ -240,7 +240,7 @@ def test_a_task_is_managed(run: Run, task: str) -> None:
 def test_new_settings_are_shown_beside_the_numbers_that_a_fit_put_in_force(
     run: Run, task: str, shared_endpoint: str
 ) -> None:
-    with Client(shared_endpoint) as client:
+    with Client(shared_endpoint, timeout_s=30.0) as client:
         states = np.linspace(0.1, 3.9, 40)[:, None]
         goals = np.hstack([4 + 2 * np.sin(states), 0.5 * np.cos(states)])
         client.task(task).report(state=states, goal=goals, cost=np.full(40, 0.1), success=True, wait=True)
@@ -257,7 +257,7 @@ def test_an_archived_task_is_listed_as_such(run: Run, task: str, shared_endpoint
     listed = {entry["spec"]["name"]: entry for entry in data(run("tasks", "--json"))}
     assert listed[task]["archived"] is False
     run("archive", task, "--yes")
-    with Client(shared_endpoint) as client:
+    with Client(shared_endpoint, timeout_s=30.0) as client:
         assert [entry["archived"] for entry in client.tasks() if entry["spec"].name == task] == [True]
     assert any(line.split() == [task, "1", "2", "1", "1", "3", "archived"] for line in run("tasks").stdout.splitlines())
 

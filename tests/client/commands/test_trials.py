@@ -29,7 +29,7 @@ SPEC: dict[str, Any] = {
 def task(shared_endpoint: str, run: Run) -> str:
     """A task that a worker and a person reported trials of."""
     name = f"throw-{uuid4()}"
-    with Client(shared_endpoint) as client:
+    with Client(shared_endpoint, timeout_s=30.0) as client:
         made = client.create_task({"name": name, **SPEC})
         for number in range(12):
             trial: dict[str, Any] = {"state": [number / 4], "goal": [number / 4], "cost": number / 20}
@@ -95,7 +95,10 @@ def test_asking_ends_with_the_input_and_reports_nothing_of_the_open_trial(run: R
 def test_what_another_person_reported_does_not_count_when_taken_back(shared_endpoint: str, task: str) -> None:
     command = [sys.executable, "-m", "crkr.client", "ask", task, "--state", "1.0", "--connect", shared_endpoint]
     pipe = subprocess.PIPE
-    with Client(shared_endpoint) as client, subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True) as asking:
+    with (
+        Client(shared_endpoint, timeout_s=30.0) as client,
+        subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True) as asking,
+    ):
         assert asking.stdin is not None
         assert asking.stdout is not None
         asking.stdin.write("h\n\n")
@@ -111,7 +114,7 @@ def test_a_state_that_the_task_refuses_is_an_error_where_it_is_that_of_all_trial
     run: Run, shared_endpoint: str
 ) -> None:
     name = f"throw-{uuid4()}"
-    with Client(shared_endpoint) as client:
+    with Client(shared_endpoint, timeout_s=30.0) as client:
         made = client.create_task({"name": name, **SPEC, "novel": "refuse", "novelty_limit": 0.5})
         made.report(state=[[0.1]] * 3, goal=[[1.0]] * 3, cost=0.1, success=True, wait=True)
     assert "refuses" in run("ask", name, "--state", "50", typed="", status=1).stderr
@@ -129,7 +132,7 @@ def test_the_page_about_trials_runs_as_it_is_printed(
     assert [line[:2] for line in lines].count(["crkr", "undo"]) == 2
     for _, command, *words in lines:
         run(command, *words, typed="2.0\nh\nq\n" if command == "ask" else None)
-    with Client(shared_endpoint) as client:
+    with Client(shared_endpoint, timeout_s=30.0) as client:
         task = client.task("toss")
         assert [(one.trial.success, one.removed) for one in task.trials()] == [(True, False), (True, False)]
     exec(compile(program.replace("tcp/127.0.0.1:7447", shared_endpoint), "trials.md", "exec"), {})

@@ -92,7 +92,7 @@ def test_a_token_may_be_closed_after_its_client(make_peer: MakePeer) -> None:
 def throw(shared_endpoint: str) -> str:
     """A task of the test's own on a real server."""
     axis = [{"name": "x", "low": 0.0, "high": 1.0}]
-    with Client(shared_endpoint) as client:
+    with Client(shared_endpoint, timeout_s=30.0) as client:
         client.wait_until_ready(20.0)
         return client.create_task({"name": f"throw-{uuid4()}", "state": axis, "goal": axis}).name
 
@@ -108,7 +108,7 @@ def state_when_gone(endpoint: str, task: str, worker: str) -> str:
 
 @pytest.mark.parametrize("first", ["presence", "client"])
 def test_a_worker_has_left_whichever_is_closed_first(first: str, shared_endpoint: str, throw: str) -> None:
-    client = Client(shared_endpoint)
+    client = Client(shared_endpoint, timeout_s=30.0)
     presence = client.task(throw).announce("w")
     one, other = (presence, client) if first == "presence" else (client, presence)
     one.close()
@@ -117,7 +117,7 @@ def test_a_worker_has_left_whichever_is_closed_first(first: str, shared_endpoint
 
 
 def test_every_worker_of_a_client_has_left_with_it(shared_endpoint: str, throw: str) -> None:
-    with Client(shared_endpoint) as client:
+    with Client(shared_endpoint, timeout_s=30.0) as client:
         kept = [client.task(throw).announce(name) for name in ("a", "b", "c")]
     assert [state_when_gone(shared_endpoint, throw, one.worker_id) for one in kept] == ["left"] * 3
 

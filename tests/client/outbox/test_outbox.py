@@ -23,7 +23,7 @@ Start = Callable[..., Any]
 
 @pytest.fixture
 def task(shared_endpoint: str) -> Iterator[Task]:
-    with Client(shared_endpoint) as client:
+    with Client(shared_endpoint, timeout_s=30.0) as client:
         yield client.create_task(task_spec(f"lob-{uuid4()}"))
 
 
@@ -146,7 +146,7 @@ def test_a_file_has_one_outbox_at_a_time_and_one_task(task: Task, shared_endpoin
             check=False,
         )
         assert "in use already" in other.stderr
-    with Client(shared_endpoint) as client:
+    with Client(shared_endpoint, timeout_s=30.0) as client:
         second = client.create_task(task_spec(f"lob-{uuid4()}"))
         with pytest.raises(Conflict, match=task.name):
             second.outbox(tmp_path / "box")

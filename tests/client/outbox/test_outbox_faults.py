@@ -29,7 +29,7 @@ Start = Callable[..., Any]
 
 @pytest.fixture
 def task(shared_endpoint: str) -> Iterator[Task]:
-    with Client(shared_endpoint) as client:
+    with Client(shared_endpoint, timeout_s=30.0) as client:
         yield client.create_task(task_spec(f"lob-{uuid4()}"))
 
 

@@ -242,7 +242,7 @@ def test_a_specification_that_cannot_be_read_is_one_line(
 def task(shared_endpoint: str) -> str:
     from crkr.client import Client
 
-    with Client(shared_endpoint) as client:
+    with Client(shared_endpoint, timeout_s=30.0) as client:
         client.wait_until_ready(20.0)
         return client.create_task(LAYOUT.spec).name
 

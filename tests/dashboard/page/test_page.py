@@ -35,7 +35,7 @@ Page = Callable[..., Result]
 @pytest.fixture(scope="module")
 def hostile(shared_endpoint: str) -> str:
     rng = np.random.default_rng(4)
-    with Client(shared_endpoint) as client:
+    with Client(shared_endpoint, timeout_s=30.0) as client:
         client.wait_until_ready(20.0)
         task = client.create_task(TaskSpec.from_dict(SPEC))
         for trial in range(80):
@@ -149,7 +149,7 @@ def test_an_unknown_task_leaves_no_file(page: Page, tmp_path: Path) -> None:
 
 
 def test_a_task_without_trials_has_a_page(page: Page, shared_endpoint: str, tmp_path: Path) -> None:
-    with Client(shared_endpoint) as client:
+    with Client(shared_endpoint, timeout_s=30.0) as client:
         client.create_task(TaskSpec.from_dict({**SPEC, "name": "empty"}))
     page("empty", "--out", str(tmp_path / "empty.html"))
     assert "No training trial yet." in (tmp_path / "empty.html").read_text()
@@ -160,7 +160,7 @@ def test_a_skill_that_cannot_put_states_plays_fresh_trials(
 ) -> None:
     arguments = ["create", "--skill", f"{REACH}:make", "--connect", shared_endpoint]
     assert CliRunner().invoke(build(arguments), arguments).exit_code == 0
-    with Client(shared_endpoint) as client:
+    with Client(shared_endpoint, timeout_s=30.0) as client:
         client.task("reach").report(
             state=[0.5, 0.0],
             goal=[-1.0, 2.0],
@@ -204,7 +204,7 @@ def test_the_film_shows_the_best_and_the_worst_stored_trial_again(
         {"state": [2.5], "goal": [1.0, 0.3], "id": UUID(int=4), "cost": 1.0, "success": False},
         {"state": [2.5], "goal": [1.0, 0.4], "id": UUID(int=5), "cost": None, "success": False, "kind": "failed"},
     ]
-    with Client(shared_endpoint) as client:
+    with Client(shared_endpoint, timeout_s=30.0) as client:
         task = client.task("thrower")
         for trial in trials:
             task.report(**{**fields, **trial, **({"outcome": None} if "kind" in trial else {})}, wait=True)

@@ -72,7 +72,7 @@ def test_learning_past_the_budget_differs_from_stopping_at_it_once_it_is_filled(
             "--trials",
             str(trials),
             "--budget",
-            "40",
+            "20",
             "--balls",
             "20",
             "--jobs",
@@ -87,14 +87,14 @@ def test_learning_past_the_budget_differs_from_stopping_at_it_once_it_is_filled(
         ways: dict[str, Any] = answer["ways"]
         return ways
 
-    short = drawn(30)
+    short = drawn(15)
     assert len({tuple(way["digests"]) for way in short.values()}) == 1, "all learn alike while there is room"
     assert [way["filled"] for way in short.values()] == [None] * 3
-    assert all(way["curve"]["trials"] == [0, 30] for way in short.values())
-    longer = drawn(90)
+    assert all(way["curve"]["trials"] == [0, 15] for way in short.values())
+    longer = drawn(60)
     assert len({tuple(way["digests"]) for way in longer.values()}) == 3
     for way in longer.values():
-        assert 35 < way["filled"] < 90
+        assert 15 < way["filled"] < 60
         assert way["mean"] == pytest.approx(np.mean(way["final"]))
         assert way["mean"] > np.mean([rates[0] for rates in way["curve"]["rates"]])
 

@@ -213,7 +213,7 @@ def test_the_log_alone_says_what_was_amended(start_server: Callable[..., Any], t
 
 
 def test_a_label_brings_its_cost_where_a_task_learns_from_labels(shared_endpoint: str) -> None:
-    with Client(shared_endpoint) as client:
+    with Client(shared_endpoint, timeout_s=30.0) as client:
         task = client.create_task(specification("labels-amended", cost="label", exploration={"type": "gaussian"}))
         task.report(state=[0.1], goal=[0.1], success=False)
         [stored] = task.trials(last=1)

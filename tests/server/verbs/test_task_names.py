@@ -35,7 +35,7 @@ def run(command: Callable[..., None], *words: str, status: int = 0) -> str:
 
 
 def test_a_renamed_task_goes_on_under_its_new_name(shared_endpoint: str, processes: Processes) -> None:
-    with Client(shared_endpoint) as client:
+    with Client(shared_endpoint, timeout_s=30.0) as client:
         teach(client.create_task(specification("renamed-before", budget=7)))
         client.create_task(specification("renamed-next"))
         order = [entry["spec"].name for entry in client.tasks()]

@@ -96,7 +96,7 @@ def test_a_new_skill_is_checked_tested_trained_and_judged_as_it_is_written(
     assert "2 passed" in own.stdout
     at = ("--connect", shared_endpoint)
     crkr("workers", "left_arm.py:make", "--trials", "150", "--evaluations", "0", "--seed", "1", *at)
-    with Client(shared_endpoint) as client:
+    with Client(shared_endpoint, timeout_s=30.0) as client:
         assert client.task("left-arm").spec.skill == f"{tmp_path}/left_arm.py:make"
     judged = json.loads(crkr("evaluate", "left-arm", "--contexts", "60", "--json", *at).stdout)
     assert judged["success"] >= 0.7
@@ -120,7 +120,7 @@ def test_a_changed_specification_begins_anew_with_fresh(crkr: Crkr, tmp_path: Pa
     path.write_text(path.read_text().replace("high = 9.0", "high = 8.0"))
     assert "--fresh" in crkr(*run, status=1).stderr
     assert "deleted the task fresh-arm" in crkr(*run, "--fresh").stderr
-    with Client(shared_endpoint) as client:
+    with Client(shared_endpoint, timeout_s=30.0) as client:
         assert client.task("fresh-arm").spec.goal[0].high == 8.0
         assert sum(client.task("fresh-arm").status()["samples"].values()) == 5
         client.task("fresh-arm").delete()

@@ -132,14 +132,13 @@ def line_chart(
     points: Sequence[Points] = (),
     *,
     said: Callable[[float], str] = percent,
-    x_label: str = "training trials",
     size: tuple[float, float] = (560.0, 330.0),
     klass: str = "",
 ) -> Element:
     """Curves with their bands, and single measurements, over [0, 1]."""
     last = max([each.curve.trials[-1] for each in series] + [mark[0] for each in points for mark in each.marks] + [1.0])
     axes = Axes(*size, (0.0, float(last)), (0.0, 1.0))
-    drawn = axes.frame(x_label, said, (0.0, 0.25, 0.5, 0.75, 1.0))
+    drawn = axes.frame("training trials", said, (0.0, 0.25, 0.5, 0.75, 1.0))
     for each in series:
         curve, colour = each.curve, f"c{each.colour % COLOURS}"
         band = axes.path(np.append(curve.trials, curve.trials[::-1]), np.append(curve.high, curve.low[::-1]))
@@ -171,11 +170,9 @@ def _tips(series: Sequence[Series], said: Callable[[float], str]) -> tuple[Array
     return shown, texts
 
 
-def stacked_chart(
-    title: str, trials: Array, shares: Sequence[tuple[str, Array, str]], size: tuple[float, float] = (430.0, 190.0)
-) -> Element:
+def stacked_chart(title: str, trials: Array, shares: Sequence[tuple[str, Array, str]]) -> Element:
     """Shares that add up to 1 over the run: (name, (n,) shares, class of the colour) from the bottom up."""
-    axes = Axes(*size, (0.0, float(trials[-1])), (0.0, 1.0))
+    axes = Axes(430.0, 190.0, (0.0, float(trials[-1])), (0.0, 1.0))
     base, drawn = np.zeros(len(trials)), []
     for _, share, colour in shares:
         top = base + share
@@ -195,28 +192,28 @@ def stacked_chart(
     )
 
 
-def histogram(axis: OutcomeEntry, values: Array, size: tuple[float, float] = SMALL) -> Element:
+def histogram(axis: OutcomeEntry, values: Array) -> Element:
     """Histogram of measured numbers (n,) around their target, with the tolerated range."""
     low, high = _range(axis, values)
     counts, edges = np.histogram(np.clip(values, low, high), bins=31, range=(low, high))
-    axes = Axes(*size, (low, high), (0.0, float(counts.max()) or 1.0), left=RIGHT)
+    axes = Axes(*SMALL, (low, high), (0.0, float(counts.max()) or 1.0), left=RIGHT)
     good = (
         low if axis.aim == "at_most" else axis.target - axis.tolerance,
         high if axis.aim == "at_least" else axis.target + axis.tolerance,
     )
     left, right = axes.right(max(good[0], low)), axes.right(min(good[1], high))
-    inner = size[1] - BOTTOM - TOP
-    drawn = [tag("rect", x=left, width=max(right - left, 1.0), y=TOP, height=inner, klass="good")]
+    bottom = SMALL[1] - BOTTOM
+    drawn = [tag("rect", x=left, width=max(right - left, 1.0), y=TOP, height=bottom - TOP, klass="good")]
     for count, start, end in zip(counts, edges, edges[1:], strict=False):
         x, level = axes.right(start), axes.down(float(count))
         tip = f"{number(start)} to {number(end)} {axis.unit}: {count} trials"
-        wide, tall = axes.right(end) - x - 0.6, size[1] - BOTTOM - level
+        wide, tall = axes.right(end) - x - 0.6, bottom - level
         drawn.append(tag("rect", x=x + 0.3, y=level, width=wide, height=tall, klass="bar", tip=tip))
     middle = axes.right(axis.target)
-    drawn.append(tag("line", x1=middle, x2=middle, y1=TOP, y2=size[1] - BOTTOM, klass="target"))
-    drawn += axes.abscissas(nice_ticks(low, high, most=4), size[1] - BOTTOM + 15)
+    drawn.append(tag("line", x1=middle, x2=middle, y1=TOP, y2=bottom, klass="target"))
+    drawn += axes.abscissas(nice_ticks(low, high, most=4), bottom + 15)
     drawn.append(
-        tag("text", label(axis.name, axis.unit), x=size[0] - RIGHT, y=size[1] - 4, text_anchor="end", klass="axis")
+        tag("text", label(axis.name, axis.unit), x=SMALL[0] - RIGHT, y=SMALL[1] - 4, text_anchor="end", klass="axis")
     )
     return axes.drawing(f"outcome {axis.name}", *drawn, klass="small")
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from crkr.client.tally import Tally, success_by_criterion
 from crkr.experiments.rivals.rival import Crkr
-from crkr.learner import Learner, SelectorFactory
+from crkr.learner import Learner
 from crkr.protocol import Array, Invalid, NoSamples, TaskSpec
 from crkr.sim_worker.randomness import demonstration_rng, evaluation_rng, fresh_rng, training_rng
 from crkr.sim_worker.skill import Demonstration, HasDemonstrations, Skill, judged_state
@@ -100,11 +100,8 @@ class LearningRun:
         return {**shallow, "final": self.final.to_dict(), "curve": [score.to_dict() for score in self.curve]}
 
 
-def learn_once(skill: Skill, course: Course, seed: int, selector: SelectorFactory | None = None) -> LearningRun:
-    """Learn by the skill's specification and evaluate the result; the same arguments give the same bits.
-
-    A `selector` replaces the specification's.
-    """
+def learn_once(skill: Skill, course: Course, seed: int) -> LearningRun:
+    """Learn by the skill's specification and evaluate the result; the same arguments give the same bits."""
     training, curve, digest = Counter[str](), list[Score](), sha256()
     filled: int | None = None
 
@@ -116,7 +113,7 @@ def learn_once(skill: Skill, course: Course, seed: int, selector: SelectorFactor
             score = judge(skill, _policy(learner), trial, course.watched, lambda context: evaluation_rng(seed, context))
             curve.extend([score] if score.contexts else [])
 
-    learner = _trained_learner(skill, course, seed, training, digest.update, watch, selector)
+    learner = _trained_learner(skill, course, seed, training, digest.update, watch)
     final = judge(
         skill, _policy(learner), course.trials, course.contexts, lambda context: fresh_rng(course.judge, context)
     )
@@ -139,10 +136,9 @@ def _trained_learner(
     training: Counter[str],
     digest: Callable[[bytes], object],
     watch: Callable[[Learner, int], object],
-    selector: SelectorFactory | None = None,
 ) -> Learner:
     spec = TaskSpec.from_dict({**skill.spec().to_dict(), **dict(course.settings)})
-    learned = Crkr(spec, seed, selector)  # with a worker's ids, so that other questions do not change exploration
+    learned = Crkr(spec, seed)  # with a worker's ids, so that other questions do not change exploration
     learned.start(demonstrated(skill, course.demonstrations, seed))
     rng = training_rng(seed, 1)
     for trial in range(course.trials):

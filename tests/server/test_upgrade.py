@@ -154,7 +154,7 @@ def test_the_rows_of_a_long_log_are_not_looked_over_by_another_version(
         while "listening on" not in process.stderr.readline():
             assert process.poll() is None
         (installed / "crkr").rename(tmp_path / "aside")
-        while "are not looked over: crkr was upgraded or removed" not in process.stderr.readline():
+        while "are not checked: crkr was upgraded or removed" not in process.stderr.readline():
             assert process.poll() is None
         process.send_signal(signal.SIGTERM)
         assert process.wait(timeout=10) == 0

@@ -51,7 +51,7 @@ class ThreadFaults:
             name = self._counted(self._counts, thread or threading.current_thread().name)
             count = self._counts[name]
             if count & (count - 1) == 0:
-                logger.error("thread %s goes on after fault %d: %r", name, count, error, exc_info=error)
+                logger.error("thread %s continues after fault %d: %r", name, count, error, exc_info=error)
             if self._on_panic is not None and is_panic(error):
                 self._on_panic()
 

@@ -100,7 +100,7 @@ def test_a_whole_log_is_found_whole_and_a_server_may_end_meanwhile(
     assert server.process.wait(60) == 0
     assert not processes.running(child)
     server = start_server(data=long_log)
-    processes.wait_until(lambda: "task reach: every row is as it was stored" in server.log.read_text(), server.log)
+    processes.wait_until(lambda: "task reach: every row is intact" in server.log.read_text(), server.log)
     assert "damage" not in connect(server.endpoint)("task/reach/rpc/status")
     assert "Traceback" not in server.log.read_text()
 

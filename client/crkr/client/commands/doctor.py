@@ -140,7 +140,7 @@ def _impostors(transport: ZenohTransport, info: dict[str, Any]) -> list[_Check]:
         return []
     who = ", ".join(sorted(found))
     return [
-        ("trust", False, f"another client answers too, in vain (Zenoh id {who}): access control keeps it from that")
+        ("trust", False, f"another client answers too and is ignored (Zenoh id {who}): access control can forbid it")
     ]
 
 

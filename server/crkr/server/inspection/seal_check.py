@@ -65,7 +65,7 @@ class SealCheck:
         if self._stopped.wait(_DELAY_S):
             return
         if self._code.is_replaced:
-            logger.warning("the rows of the task log are not looked over: crkr was upgraded or removed; restart it")
+            logger.warning("the rows of the task log are not checked: crkr was upgraded or removed; restart it")
             return
         # -P: a file in the working directory must not hide a module of Python's.
         command = [sys.executable, "-P", "-m", "crkr.server.inspection.seal_check"]
@@ -84,7 +84,7 @@ class SealCheck:
                 )
                 os.setpriority(os.PRIO_PROCESS, self._process.pid, _PRIORITY)
         except OSError as error:
-            logger.warning("the rows of the task log are not looked over: %s", error.strerror)
+            logger.warning("the rows of the task log are not checked: %s", error.strerror)
             return
         with self._process as process:
             if process.stdin is not None:
@@ -93,7 +93,7 @@ class SealCheck:
             if process.stdout is not None:
                 self._listen(process.stdout)
         if process.returncode and not self._stopped.is_set():
-            logger.warning("the rows of the task log were not looked over to the end: status %s", process.returncode)
+            logger.warning("the rows of the task log were not checked to the end: status %s", process.returncode)
 
     def _listen(self, told: IO[str]) -> None:
         for line in told:
@@ -102,7 +102,7 @@ class SealCheck:
                 logger.error("task %s: %s", task, damage)
                 self._damaged(task, damage)
             else:
-                logger.info("task %s: every row is as it was stored", task)
+                logger.info("task %s: every row is intact", task)
 
 
 def main(where: str, tasks: Mapping[str, int]) -> None:

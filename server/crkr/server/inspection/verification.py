@@ -154,8 +154,8 @@ def _compare_rows(log: LogReader, name: str, trials: dict[bytes, _Kept]) -> list
             wrong += entry["cost"] != kept.cost or entry.get("removed", False) != kept.removed
             wrong += (entry["kind"], entry["success"]) != (kept.trial.kind, kept.trial.success)
             wrong += entry.get("learn") != kept.trial.learn
-    problems = [f"{wrong} samples are handed out with another cost or mark than the events say"] if wrong else []
-    return problems if count == len(trials) else [*problems, f"{count} samples are handed out, {len(trials)} logged"]
+    problems = [f"{wrong} samples are served with another cost or mark than the events give"] if wrong else []
+    return problems if count == len(trials) else [*problems, f"{count} samples are served, {len(trials)} logged"]
 
 
 def _compare_cache(log: LogReader, name: str, learner: Learner) -> list[str]:

@@ -65,7 +65,7 @@ class Acceleration:
             if self._stopped.is_set():
                 return
             if self._process.exitcode or self._code.is_replaced:
-                logger.warning("the selection was not compiled; learning goes on without, and a restart tries again")
+                logger.warning("the selection was not compiled; learning continues without it; a restart tries again")
                 return
             accelerate()
             logger.info("the compiled selection is loaded after %.1f s", time.monotonic() - started)

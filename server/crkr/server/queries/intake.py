@@ -165,7 +165,7 @@ class Intake:
             self._turn_away(query, error)
         except Exception:
             logger.exception("a query on %.80s could not be taken", query.key_expr)
-            self._turn_away(query, Internal("the query could not be taken by a defect of the server; see its log"))
+            self._turn_away(query, Internal("the query failed by a defect of the server; see its log"))
 
     def _turn_away(self, query: zenoh.Query, error: CrkrError) -> None:
         """Refuse a query that is not a request of the protocol."""

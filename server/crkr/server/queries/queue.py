@@ -165,7 +165,7 @@ class Lane(Generic[_Job]):
     def _step(self) -> bool:
         batch, late = self._take()
         for request in late:
-            request.fail(Busy("its turn comes after its asker's deadline; ask again later", retry_ms=_RETRY_MS))
+            request.fail(Busy("its turn would come after its deadline; ask again later", retry_ms=_RETRY_MS))
             self._finish(request)
         began = time.monotonic()
         unfinished = self._attempt(batch) if batch else ()

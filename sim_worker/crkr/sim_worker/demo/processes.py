@@ -146,7 +146,7 @@ class DemoProcesses:
                 self._say(line)
         if self._watch.status is not None:
             self.dashboard_lost = True
-            self._say(f"warning: the dashboard is gone ({self._watch.last_words()}); learning goes on without it")
+            self._say(f"warning: the dashboard is gone ({self._watch.last_words()}); learning continues without it")
 
     def _echo(self, process: DemoProcess) -> None:
         for line in process.new_lines():

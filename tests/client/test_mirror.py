@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from named_threads import raise_in, thread_named
 from processes import Processes
-from putting import IDS, PROBES, assert_alike, practise, specification
+from putt_task import IDS, PROBES, assert_alike, practise, specification
 
 from crkr.client import Client, Task
 from crkr.client.mirror import Mirror

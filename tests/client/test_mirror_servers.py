@@ -8,7 +8,7 @@ from uuid import UUID
 import numpy as np
 import pytest
 from processes import Processes
-from putting import IDS, PROBES, assert_alike, practise, specification
+from putt_task import IDS, PROBES, assert_alike, practise, specification
 
 from crkr.client import Client
 from crkr.learner import Learner

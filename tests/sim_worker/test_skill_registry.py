@@ -40,7 +40,7 @@ def test_a_skill_that_is_not_there_is_refused_with_what_is(name: str, complaint:
 
 def test_a_library_that_a_skill_lacks_is_not_mistaken_for_the_skill() -> None:
     with pytest.raises(ModuleNotFoundError, match="no_such_library"):
-        load_skill("lacking:make", SkillOptions())
+        load_skill("skill_without_library:make", SkillOptions())
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 import zenoh
 from processes import Processes, RunningServer
-from putting import practise, specification
+from putt_task import practise, specification
 
 from crkr.client import Client, Task
 from crkr.learner import Learner

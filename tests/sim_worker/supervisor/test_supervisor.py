@@ -195,7 +195,8 @@ def test_a_skill_of_three_methods_trains_and_says_in_a_line_each_what_it_lacks(t
 
 
 @pytest.mark.parametrize(
-    ("skill", "complaint"), [("tabel-tennis", "error: no skill 'tabel-tennis'; installed: "), ("lacking:make", "")]
+    ("skill", "complaint"),
+    [("tabel-tennis", "error: no skill 'tabel-tennis'; installed: "), ("skill_without_library:make", "")],
 )
 def test_an_unknown_skill_fails_before_anything_is_made(train: Start, task: Task, skill: str, complaint: str) -> None:
     status, _, log = train(skill=skill).finish()

@@ -239,7 +239,7 @@ class Writer:
         self._agree(task, lambda: change, request, configured)
 
     def _agree(self, task: ServedTask, make: Callable[[], Change], request: Job, configured: int | None = None) -> None:
-        """Make a change of the task as it is, and commit it; it is made anew where the task was changed meanwhile."""
+        """Make a change of the task as it is, and commit it; it is made again if the task was changed meanwhile."""
         for _ in range(_ATTEMPTS):
             seen, change = task.changed, make()
             body = self._completed(task, change)

@@ -113,6 +113,8 @@ def _check_names(fields: TrialFields) -> None:
 
 def _one_each(value: Any, name: str, count: int) -> list[Any]:
     """`count` values, from one value for all or one for each."""
+    if value is None or isinstance(value, bool | int | float):  # most are
+        return [value] * count
     refuse_masked(value, name)
     listed = isinstance(value, list | tuple) or (isinstance(value, np.ndarray) and value.ndim > 0)
     values = list(value) if listed else [value] * count

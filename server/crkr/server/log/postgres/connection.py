@@ -72,7 +72,7 @@ def connect(url: str, patience_s: float | None = None) -> Connection:
 
     Args:
         url: The database.
-        patience_s: As for `PatientConnection`. With a limit, a statement waits 5 s for a lock and runs 30 s at most.
+        patience_s: As for `Connection`. With a limit, a statement waits 5 s for a lock and runs 30 s at most.
     """
     given: dict[str, Any] = dict(conninfo_to_dict(url))
     defaults = dict(_DEFAULTS)

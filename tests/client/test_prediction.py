@@ -23,7 +23,7 @@ def spec(**settings: Any) -> TaskSpec:
 @pytest.fixture(scope="module")
 def client(shared_endpoint: str) -> Iterator[Client]:
     with Client(shared_endpoint, timeout_s=60.0) as client:
-        client.wait_until_ready(20.0)
+        client.wait_until_ready(60.0)
         yield client
 
 

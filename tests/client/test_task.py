@@ -21,7 +21,7 @@ THROW: dict[str, Any] = {
 @pytest.fixture(scope="module")
 def client(shared_endpoint: str) -> Iterator[Client]:
     with Client(shared_endpoint, timeout_s=30.0) as client:
-        client.wait_until_ready(20.0)
+        client.wait_until_ready(60.0)
         yield client
 
 

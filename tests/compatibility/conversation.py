@@ -134,7 +134,7 @@ def aside(client: Client, task: Task, file: str) -> Iterator[Any]:
 
 def converse(client: Client, file: str) -> Iterator[Any]:
     """Everything, on a server that has no tasks yet."""
-    info = client.wait_until_ready(30.0)
+    info = client.wait_until_ready(60.0)
     yield [info["protocol"], info["limits"], info["tasks"], isinstance(info["server_id"], UUID)]
     yield [refusal(lambda: client.task("toss").spec), refusal(lambda: client.task("toss").predict([1.0, 0.0]))]
     yield [client.create_task(spec).created for spec in (SPEC, MEASURED, SPEC)]
@@ -157,7 +157,7 @@ def converse(client: Client, file: str) -> Iterator[Any]:
 
 def leave(client: Client, file: str) -> Iterator[Any]:
     """A log with something of everything, and a file with reports that no server has."""
-    client.wait_until_ready(30.0)
+    client.wait_until_ready(60.0)
     for spec in (SPEC, MEASURED):
         task = client.create_task(spec)
         yield [list(teach(task)), list(try_goals(task)), list(change(task))]
@@ -172,7 +172,7 @@ def leave(client: Client, file: str) -> Iterator[Any]:
 
 def find(client: Client, file: str) -> Iterator[Any]:
     """What `leave` left, read without changing it."""
-    client.wait_until_ready(30.0)
+    client.wait_until_ready(60.0)
     for name in ("toss", "measured"):
         task = client.task(name)
         yield [plain(task.spec.to_dict()), list(look(task))]
@@ -182,7 +182,7 @@ def find(client: Client, file: str) -> Iterator[Any]:
 
 def deliver(client: Client, file: str) -> Iterator[Any]:
     """The reports of the file that `leave` left."""
-    client.wait_until_ready(30.0)
+    client.wait_until_ready(60.0)
     task = client.task("toss")
     with task.outbox(file) as outbox:
         yield outbox.pending

@@ -15,5 +15,5 @@ def client(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFact
     if request.param == "postgres":
         data = request.getfixturevalue("postgres").create("contract")
     with shared_server(data) as endpoint, Client(endpoint) as client:
-        client.wait_until_ready(20.0)
+        client.wait_until_ready(60.0)
         yield client

@@ -54,7 +54,7 @@ def test_no_command_ends_on_a_name_that_the_locale_cannot_print(tmp_path: Path, 
     path.write_text(TILT.format(name="tilt"), encoding="utf-8")
     connect = ("--connect", shared_endpoint)
     with Client(shared_endpoint, timeout_s=30.0) as client:
-        client.wait_until_ready(20.0)
+        client.wait_until_ready(60.0)
         task = client.create_task(read_spec(path))
         task.report(state=[1], goal=[2], cost=0, success=True, kind="demonstration", worker="Zoë", wait=True)
     told = ""

@@ -13,7 +13,7 @@ from crkr.client.cli.subcommands import build
 def run(shared_endpoint: str) -> Callable[..., Result]:
     """`run("trials", NAME, typed="y", status=0)`: the result of a command with the exit status that is expected."""
     with Client(shared_endpoint, timeout_s=30.0) as client:
-        client.wait_until_ready(20.0)
+        client.wait_until_ready(60.0)
 
     def run(command: str, *arguments: str, typed: str | None = None, status: int = 0) -> Result:
         words = [command, *arguments, "--connect", shared_endpoint]

@@ -93,7 +93,7 @@ def throw(shared_endpoint: str) -> str:
     """A task of the test's own on a real server."""
     axis = [{"name": "x", "low": 0.0, "high": 1.0}]
     with Client(shared_endpoint, timeout_s=30.0) as client:
-        client.wait_until_ready(20.0)
+        client.wait_until_ready(60.0)
         return client.create_task({"name": f"throw-{uuid4()}", "state": axis, "goal": axis}).name
 
 

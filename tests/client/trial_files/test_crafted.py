@@ -243,7 +243,7 @@ def task(shared_endpoint: str) -> str:
     from crkr.client import Client
 
     with Client(shared_endpoint, timeout_s=30.0) as client:
-        client.wait_until_ready(20.0)
+        client.wait_until_ready(60.0)
         return client.create_task(LAYOUT.spec).name
 
 

@@ -58,7 +58,7 @@ def some_trials(task: Task) -> list[Trial]:
 @pytest.fixture
 def client(shared_endpoint: str) -> Any:
     with Client(shared_endpoint, timeout_s=20) as client:
-        client.wait_until_ready(20)
+        client.wait_until_ready(60.0)
         yield client
 
 

@@ -36,7 +36,7 @@ Page = Callable[..., Result]
 def hostile(shared_endpoint: str) -> str:
     rng = np.random.default_rng(4)
     with Client(shared_endpoint, timeout_s=30.0) as client:
-        client.wait_until_ready(20.0)
+        client.wait_until_ready(60.0)
         task = client.create_task(TaskSpec.from_dict(SPEC))
         for trial in range(80):
             state, met = rng.uniform(size=2), bool(rng.uniform() < 0.5)

@@ -23,7 +23,7 @@ from crkr.client import Client
 from crkr.protocol import Trial, Unavailable
 endpoint, spec, count = sys.argv[1], json.loads(sys.argv[2]), int(sys.argv[3])
 with Client(endpoint, timeout_s=60) as client:
-    client.wait_until_ready(20)
+    client.wait_until_ready(60.0)
     task = client.create_task(spec)
     for number in range(1, count + 1):
         task.report(state=[0.5, 0.5], goal=[0.0] * 3, cost=0.5, success=True, id=UUID(int=number))

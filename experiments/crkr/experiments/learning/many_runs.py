@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import final
 
 import numpy as np
-from scipy.stats import t as student
 
 from crkr.client.cli.console import stderr
 from crkr.client.cli.progress import Progress
@@ -73,5 +72,7 @@ def mean_interval(rates: np.ndarray) -> tuple[float, float] | None:
     """Student's 95 % interval of the mean of independent runs (n,), within [0, 1]; None for fewer than two."""
     if len(rates) < 2:
         return None
+    from scipy.stats import t as student  # a third of a second, which the processes of runs are spared
+
     half = float(student.ppf(0.975, len(rates) - 1) * rates.std(ddof=1) / np.sqrt(len(rates)))
     return max(0.0, float(rates.mean()) - half), min(1.0, float(rates.mean()) + half)

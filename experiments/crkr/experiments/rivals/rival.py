@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from typing import Final, Protocol, final
 
 import numpy as np
-from sklearn.linear_model import Ridge
 
 from crkr.learner import Learner, SelectorFactory
 from crkr.protocol import Array, TaskSpec, training_id
@@ -88,6 +87,8 @@ class Offsets:
     """Goals as offsets from behaviour cloning, a ridge regression of the demonstrations, in scales of the goal."""
 
     def __init__(self, spec: TaskSpec, demonstrations: Sequence[Demonstration]) -> None:
+        from sklearn.linear_model import Ridge  # half a second, which runs of crkr's own learner are spared
+
         self.scales = TaskScales(spec, demonstrations)
         states, goals = (np.array([getattr(one, name) for one in demonstrations]) for name in ("state", "goal"))
         self._cloned = Ridge(1.0).fit(self.scales.states(states), self.scales.goals(goals))

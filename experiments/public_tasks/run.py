@@ -40,7 +40,7 @@ RANDOM = 100  # first trials
 class Reacher:
     """The tip of a planar arm to a target. With weights within 1 it would not get to a quarter of the targets."""
 
-    name, bound = "fancy_ProMP/Reacher5d-v0", 2.0
+    name, bound, scale = "fancy_ProMP/Reacher5d-v0", 2.0, 0.6
     outcome: ClassVar[dict[str, float]] = {"miss_x": REACHED / math.sqrt(2.0), "miss_y": REACHED / math.sqrt(2.0)}
 
     def context(self, observed: Any) -> Any:
@@ -58,7 +58,7 @@ class Reacher:
 class PushedBox:
     """A box to a place and an angle."""
 
-    name, bound = "fancy_ProMP/BoxPushingDense-v0", 1.0
+    name, bound, scale = "fancy_ProMP/BoxPushingDense-v0", 1.0, 0.5
     outcome: ClassVar[dict[str, float]] = {
         "off_x": REACHED / math.sqrt(2.0),
         "off_y": REACHED / math.sqrt(2.0),
@@ -91,7 +91,8 @@ def specification(task: Any, environment: Any, seed: int, neighbours: int) -> di
         "seed": seed,
         "state": [{"name": f"s{n}", "low": float(low), "high": float(high)} for n, (low, high) in enumerate(limits)],
         "goal": [
-            {"name": f"w{n}", "low": -task.bound, "high": task.bound} for n in range(environment.action_space.shape[0])
+            {"name": f"w{n}", "low": -task.bound, "high": task.bound, "scale": task.scale}
+            for n in range(environment.action_space.shape[0])
         ],
         "outcome": [{"name": name, "tolerance": most, "group": "miss"} for name, most in task.outcome.items()],
         "start": {"type": "space-filling", "count": RANDOM},

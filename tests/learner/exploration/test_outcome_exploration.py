@@ -91,9 +91,10 @@ def test_the_corrected_goal_is_the_analytic_solution_in_a_world_that_is_a_line(
     guided: Callable[..., TaskSpec],
 ) -> None:
     spec = guided(gate=0.0, candidates=0)
-    answer = taught(spec, 1000).predict(STATES)
+    answer = taught(spec, 1000).predict(STATES / 4)
     own = spec.scales
-    for row, state in enumerate(STATES):
+    assert np.abs((outcome_of(answer.states, answer.means) - TARGET) / TOLERANCE).sum(axis=1).max() < 3
+    for row, state in enumerate(answer.states):
         S = np.diag((4.0 * answer.sigmas[row]) ** 2)
         mean = answer.means[row]
         miss = TARGET - outcome_of(state, mean)
@@ -167,7 +168,7 @@ def test_a_draw_is_the_first_within_the_bounds_of_documented_numbers(guided: Cal
     assert isinstance(explorer, OutcomeExplorer)
     own, attempts = explorer.scales, 16
     for number in range(60):
-        trial, state = UUID(int=number), STATES[number % 40]
+        trial, state = UUID(int=number), STATES[number % 40] / 4  # none of whose means misses by far
         answer = model.predict(state, True, trial)
         z, mean = own.metric.standardise(state)[None], own.scaled(answer.means)[None]
         spread = np.minimum(4 * answer.sigmas / own.scales, own.high - own.low)[None]

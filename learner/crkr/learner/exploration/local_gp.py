@@ -64,6 +64,7 @@ class LocalGP:
     Attributes:
         kernel: Its prior.
         D: (b, k, p) goal part of the neighbours minus the point.
+        Z: (b, k, d) the same of the state.
         squares: (b, k) their whole squared length.
         alpha: (b, k, m).
         factors: b matrices (k, k), L below the diagonal, undefined above.
@@ -73,6 +74,7 @@ class LocalGP:
 
     kernel: StepKernel
     D: Array
+    Z: Array
     squares: Array
     alpha: Array
     factors: tuple[Array, ...]
@@ -119,7 +121,7 @@ class LocalGP:
                 fitted[row] = W
                 alpha[row] = blas.dtrsm(1.0, L, W, lower=1, trans_a=1, overwrite_b=1)
         amplitude = ((fitted * fitted).sum(axis=1) + _PRIOR_TRIALS) / (k + _PRIOR_TRIALS)
-        return cls(kernel, D[..., -p:], squares, alpha, tuple(factors), amplitude, former)
+        return cls(kernel, D[..., -p:], D[..., :-p], squares, alpha, tuple(factors), amplitude, former)
 
     def mean(self, steps: Array) -> Array:
         """(b, c, m) expectations at steps (b, c, p)."""
@@ -176,10 +178,17 @@ class LocalGP:
         slope -= (pull[:, None] @ self.alpha).swapaxes(1, 2) * step[:, None]
         return cross, (cross[:, None] @ self.alpha)[:, 0], slope
 
+    def state_slope(self) -> Array:
+        """(b, m, d) derivatives of the expectation at the point by the state's coordinates in the metric."""
+        own = self.kernel
+        pull = self._with_change(np.exp(own.log_bend - 0.5 / own.reach**2 * self.squares) / own.reach**2)
+        pull += self._with_change(np.full(pull.shape[1], own.linear))
+        return np.asarray((self.alpha * pull[..., None]).swapaxes(1, 2) @ self.Z)
+
     def of(self, which: Indices) -> LocalGP:
         """The regression near some of the points."""
         factors = tuple(self.factors[point] for point in which.tolist())
-        parts = (self.D[which], self.squares[which], self.alpha[which], factors, self.amplitude[which])
+        parts = (self.D[which], self.Z[which], self.squares[which], self.alpha[which], factors, self.amplitude[which])
         return LocalGP(self.kernel, *parts, self.former)
 
     def _cross(self, steps: Array) -> tuple[Array, Array]:

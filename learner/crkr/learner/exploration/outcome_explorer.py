@@ -27,10 +27,10 @@ from crkr.learner.exploration.draws import uniforms
 from crkr.learner.exploration.explorer import Choice, GaussianExplorer
 from crkr.learner.exploration.outcome_index import ObservedTrials
 from crkr.learner.exploration.outcome_model import OutcomeModel, Prospect
-from crkr.learner.exploration.outcome_posterior import Posterior, condition_within
-from crkr.learner.exploration.outcome_scales import GOAL_SHARE, OutcomeScales
+from crkr.learner.exploration.outcome_posterior import OutcomeLine, Posterior, condition_within
+from crkr.learner.exploration.outcome_scales import OutcomeScales
 from crkr.learner.exploration.prequential import Calibration, DeferredCalibration, features
-from crkr.learner.kernel import squared_distances
+from crkr.learner.exploration.tried_goals import better_starts, least_missing
 from crkr.learner.selection.anms_batch import Indices
 from crkr.protocol import Array, Exploration, TaskSpec
 
@@ -41,10 +41,8 @@ _BLOCK: Final = 32  # states per batch, as a numpy call costs as much as one sta
 _STILL: Final = 0.02  # scales; updates end when one moves the goal by less
 _REFIT: Final = 0.3  # scales from where the model was fitted, beyond which it is refitted
 _SAFE: Final = np.log(0.9)  # P(executed) above which a mean on target needs no update
-_UNSEEN: Final = 400.0  # squared tolerances assumed for an unobserved entry
-_FAR: Final = 1e4  # and at most
-_STATE_SLOPE: Final = 30.0  # squared tolerances by which an outcome changes with one step of the state
 _UNKNOWN: Final = Calibration()
+_AROUND: Final = 0.5  # scales by which a goal that was tried may move
 _LOOSE: Final = 2.0  # scales by which a goal may move at least, once the robot has changed
 _WIDTHS: Final = (0.1, 0.3, 1.0)  # widths of the candidates, in standard deviations of P'
 
@@ -108,14 +106,9 @@ class OutcomeExplorer:
         Trials are compared by squared outcome, distance of the state, and a penalty for unobserved entries.
         """
         known = self.trials if len(self.trials) or self.trials.former is None else self.trials.former
-        trials, d = known.newest(), self.trials.X.shape[1] - len(self.scales.scales)
         entries = np.concatenate([self.scales.groups[group] for group in self.groups])
-        o = trials.Y[:, entries]
-        o = np.where(self.scales.one_sided[entries] * o > 0, 0.0, o)
-        off = np.where(np.isnan(o), _UNSEEN, np.minimum(o * o, _FAR)).sum(axis=1) + _FAR * trials.refused
         z = self.scales.metric.standardise(np.atleast_2d(states))
-        away = squared_distances(z, trials.X[:, :d])
-        goals = trials.X[(off + _STATE_SLOPE * away).argmin(axis=1), d:] / GOAL_SHARE
+        goals, _ = least_missing(known.newest(), entries, self.scales.one_sided[entries], z)
         return self._goals(goals).reshape(*states.shape[:-1], -1)
 
     def best(self, states: Array, means: Array, sigmas: Array) -> Choice:
@@ -194,10 +187,31 @@ class OutcomeExplorer:
     ) -> Iterator[tuple[Indices, Posterior, OutcomeModel]]:
         """Posteriors with means within the bounds, and their models; `model` is centred at the means.
 
-        Where a posterior is far from the mean, the model is refitted around it. Hence there are up to two parts, each
-        with its rows.
+        Each starts from its mean or, where that should miss by far, from a goal that was tried, whichever leads to a
+        higher score. There are several parts, each with its rows.
         """
-        posterior = condition_within(means, spread, model.line(means), self.scales)
+        line = model.line(means)
+        parts = list(self._refined(z, means, spread, model, line))
+        lost, starts = better_starts(self.trials, model, line, z)
+        if len(lost):
+            anew, narrow = self._model(z[lost], starts), np.minimum(_AROUND, self.scales.high - self.scales.low)
+            others = self._refined(z[lost], starts, np.tile(narrow, (len(lost), 1)), anew, anew.line(starts))
+            parts += [(lost[rows], posterior, near) for rows, posterior, near in others]
+        score = np.full((len(parts), len(z)), -np.inf)
+        if len(lost):
+            for place, (rows, posterior, near) in enumerate(parts):
+                score[place, rows] = near.prospect(posterior.g[:, None]).score[:, 0]
+        chosen = score.argmax(axis=0)
+        for place, (rows, posterior, near) in enumerate(parts):
+            kept = np.flatnonzero(chosen[rows] == place) if len(lost) else np.arange(len(rows))
+            if len(kept):
+                yield rows[kept], posterior.of(kept), near.of(kept)
+
+    def _refined(
+        self, z: Array, means: Array, spread: Array, model: OutcomeModel, line: OutcomeLine
+    ) -> Iterator[tuple[Indices, Posterior, OutcomeModel]]:
+        """Posteriors of these means, whose model has this line. Far from the mean the model is refitted: two parts."""
+        posterior = condition_within(means, spread, line, self.scales)
         away = np.abs(posterior.g - means).max(axis=1)
         near, far = np.flatnonzero(away <= _REFIT), np.flatnonzero(away > _REFIT)
         if len(near):

@@ -193,6 +193,10 @@ class OutcomeModel:
             all_J[rows, m] = slope[unsafe, 0] * (GOAL_SHARE / _WIDTH)
         return OutcomeLine(goals, all_o, all_J, R)
 
+    def state_slope(self) -> Array:
+        """(b, m, d) change of the expected outcomes at the centre with a step of the state in the metric."""
+        return self._of_entries([fit.state_slope().swapaxes(1, 2) for fit in self.fits]).swapaxes(1, 2)
+
     def of(self, which: Indices) -> OutcomeModel:
         """The model near some of the states."""
         if len(which) == len(self.centre):

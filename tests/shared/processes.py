@@ -14,7 +14,9 @@ from typing import Any
 
 import pytest
 
-PATIENCE_S = 60.0
+from crkr.client import Client
+
+PATIENCE_S = 100.0
 GONE_WITHIN_S = 60.0
 SERVER_PYTHON = os.environ.get("CRKR_SERVER_PYTHON", sys.executable)  # where the client's is an earlier one
 
@@ -32,13 +34,15 @@ class RunningServer:
 
 @contextmanager
 def shared_server(data: Path | str, *options: str) -> Iterator[str]:
-    """The endpoint of a server that may still be starting; clients wait for it."""
+    """The endpoint of a server that answers."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
     command = [SERVER_PYTHON, "-m", "crkr.client", "server", "--listen", endpoint, "--data", str(data), *options]
     with subprocess.Popen(command, stderr=subprocess.DEVNULL) as process:
         try:
+            with Client(endpoint) as client:
+                client.wait_until_ready(PATIENCE_S)
             yield endpoint
         finally:
             process.terminate()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -25,6 +27,7 @@ sys.meta_path.insert(0, Absent())
 """
 
 
+@pytest.mark.timeout(1200)
 def test_the_compiled_selection_takes_over_and_is_not_missed_where_numba_is_missing(
     tmp_path: Path,
     start_server: Callable[..., Any],
@@ -34,6 +37,8 @@ def test_the_compiled_selection_takes_over_and_is_not_missed_where_numba_is_miss
     processes: Processes,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    compiled = [sys.executable, "-c", "from crkr.learner import accelerate; accelerate()"]
+    subprocess.run(compiled, check=True, timeout=900)  # so that what follows is quick on a busy machine too
     data = tmp_path / "data"
     fill(data, TaskSpec.from_dict(reach), LONG)
     server = start_server(data=data)

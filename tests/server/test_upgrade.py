@@ -158,3 +158,16 @@ def test_the_rows_of_a_long_log_are_not_looked_over_by_another_version(
             assert process.poll() is None
         process.send_signal(signal.SIGTERM)
         assert process.wait(timeout=10) == 0
+
+
+def test_where_no_file_can_be_opened_nothing_is_said_of_an_upgrade() -> None:
+    program = """
+import resource
+import crkr.server.server
+from crkr.server.installed_code import InstalledCode
+code = InstalledCode()
+resource.setrlimit(resource.RLIMIT_NOFILE, (3, 3))
+print(code.is_replaced)
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout == "False\n"

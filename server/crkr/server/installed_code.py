@@ -5,6 +5,7 @@ An upgrade replaces the files of a running server, and removing its environment 
 
 from __future__ import annotations
 
+import errno
 import sys
 from hashlib import blake2b
 from pathlib import Path
@@ -33,14 +34,19 @@ class InstalledCode:
     @property
     def is_replaced(self) -> bool:
         """Whether a file has changed or is gone."""
-        return self._read() != self._digest
+        try:
+            return self._read() != self._digest
+        except OSError:
+            return False
 
     def _read(self) -> bytes:
-        """A digest of all files; empty if one cannot be read."""
+        """A digest of all files; empty if one cannot be read. Raises `OSError` if the process may open no file."""
         digest = blake2b()
         try:
             for file in self._files:
                 digest.update(file.read_bytes())
-        except OSError:
+        except OSError as error:
+            if error.errno in (errno.EMFILE, errno.ENFILE):
+                raise
             return b""
         return digest.digest()

@@ -6,6 +6,7 @@ import sqlite3
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import closing
 from hashlib import blake2b
 from pathlib import Path
 from typing import Any
@@ -45,6 +46,37 @@ def test_a_file_that_is_no_outbox_is_refused_and_left_as_it_is(tmp_path: Path, c
         OutboxFile(path, "lob")
     assert path.read_bytes() == before
     assert os.listdir(tmp_path) == ["box"]
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        "CREATE TRIGGER undo AFTER INSERT ON trial BEGIN DELETE FROM trial; END",
+        "CREATE TABLE theirs (x)",
+        "ALTER TABLE trial RENAME TO hidden; CREATE VIEW trial AS SELECT * FROM hidden",
+    ],
+)
+def test_an_outbox_that_others_changed_is_refused_and_left_as_it_is(tmp_path: Path, change: str) -> None:
+    path = tmp_path / "box"
+    file = OutboxFile(path, "lob")
+    file.describe(SPEC)
+    file.close()
+    with closing(sqlite3.connect(path)) as database:
+        database.executescript(change)
+    before = path.read_bytes()
+    with pytest.raises(StorageError, match="is no outbox"):
+        OutboxFile(path, "lob")
+    assert path.read_bytes() == before
+
+
+def test_an_outbox_whose_task_cannot_be_one_is_none(tmp_path: Path) -> None:
+    path = tmp_path / "box"
+    file = OutboxFile(path, "x" * 100_000)
+    file.describe(SPEC)
+    file.close()
+    with pytest.raises(StorageError) as refusal:
+        OutboxFile.existing(path)
+    assert len(refusal.value.message) < 1000
 
 
 def test_an_empty_file_is_a_new_one(tmp_path: Path) -> None:

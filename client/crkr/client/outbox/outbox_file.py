@@ -27,6 +27,7 @@ from crkr.client.outbox.trial_rows import (
     trial_id,
 )
 from crkr.protocol import Conflict, CrkrError, Invalid, StorageError, TaskSpec, Trial, Unavailable, pack, unpack
+from crkr.protocol.keys import NAME
 
 __all__ = ["OutboxFile", "Refused"]
 
@@ -36,6 +37,7 @@ _TABLES: Final = """
 CREATE TABLE about (task TEXT NOT NULL, spec BLOB NOT NULL);
 CREATE TABLE trial (number INTEGER PRIMARY KEY AUTOINCREMENT, body BLOB NOT NULL, digest BLOB NOT NULL, error TEXT);
 """
+_ENTRIES: Final = {"about": "table", "trial": "table"}
 _IN_USE: Final = ("SQLITE_BUSY", "SQLITE_LOCKED")
 _NO_LOCKS: Final = (
     "SQLITE_PROTOCOL",
@@ -111,6 +113,8 @@ class OutboxFile:
             raise StorageError(f"{path} is no outbox, or it cannot be read: {error}") from error
         if task is None:
             raise StorageError(f"the outbox {path} is empty: it was never given a task")
+        if not NAME.fullmatch(str(task[0])):
+            raise StorageError(f"{path} is no outbox: its task's name is none")
         return cls(path, str(task[0]))
 
     @property
@@ -208,13 +212,13 @@ class OutboxFile:
         execute("PRAGMA synchronous = FULL")
         execute("BEGIN IMMEDIATE")  # takes the lock; this mode keeps it
         kind, version = (execute(f"PRAGMA {name}").fetchone()[0] for name in ("application_id", "user_version"))
-        empty = execute("SELECT count(*) FROM sqlite_master").fetchone()[0] == 0
-        if empty:
+        entries = dict(execute("SELECT name, type FROM sqlite_master WHERE name NOT LIKE 'sqlite!_%' ESCAPE '!'"))
+        if not entries:
             for statement in _TABLES.strip().split("\n"):
                 execute(statement)
             execute(f"PRAGMA application_id = {_APPLICATION}")
             execute(f"PRAGMA user_version = {_SCHEMA}")
-        elif (kind, version) != (_APPLICATION, _SCHEMA):
+        elif (kind, version, entries) != (_APPLICATION, _SCHEMA, _ENTRIES):  # a trigger might undo what is written
             raise StorageError(f"{self._path} is no outbox, or one of another version of crkr; choose another file")
         about = execute("SELECT task, spec FROM about").fetchone()
         if about is not None:

@@ -117,8 +117,8 @@ class Fitting:
         return future.result(_PATIENCE_S)
 
     def _fit(self, problem: FitProblem) -> FitResult:
-        pipe = self._start()
         try:
+            pipe = self._start()
             pipe.send(problem)
             for _ in range(int(_PATIENCE_S / _POLL_S)):
                 if self._stopped.is_set():

@@ -40,7 +40,7 @@ RANDOM = 100  # first trials
 class Reacher:
     """The tip of a planar arm to a target. With weights within 1 it would not get to a quarter of the targets."""
 
-    name, bound, scale = "fancy_ProMP/Reacher5d-v0", 2.0, 0.6
+    name, bound, scale, temperature = "fancy_ProMP/Reacher5d-v0", 2.0, 0.6, (0.02, 0.1)
     outcome: ClassVar[dict[str, float]] = {"miss_x": REACHED / math.sqrt(2.0), "miss_y": REACHED / math.sqrt(2.0)}
 
     def context(self, observed: Any) -> Any:
@@ -58,7 +58,7 @@ class Reacher:
 class PushedBox:
     """A box to a place and an angle."""
 
-    name, bound, scale = "fancy_ProMP/BoxPushingDense-v0", 1.0, 0.5
+    name, bound, scale, temperature = "fancy_ProMP/BoxPushingDense-v0", 1.0, 0.5, (0.02, 0.1, 0.5)
     outcome: ClassVar[dict[str, float]] = {
         "off_x": REACHED / math.sqrt(2.0),
         "off_y": REACHED / math.sqrt(2.0),
@@ -97,7 +97,7 @@ def specification(task: Any, environment: Any, seed: int, neighbours: int) -> di
         "outcome": [{"name": name, "tolerance": most, "group": "miss"} for name, most in task.outcome.items()],
         "start": {"type": "space-filling", "count": RANDOM},
         "learn_from": "successes",
-        "exploration": {"type": "outcome", "neighbours": neighbours},
+        "exploration": {"type": "outcome", "neighbours": neighbours, "temperature": list(task.temperature)},
     }
 
 
@@ -114,7 +114,7 @@ def main() -> None:
     parser.add_argument("task", choices=TASKS)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--trials", type=int, default=max(MARKS))
-    parser.add_argument("--neighbours", type=int, default=100, help="trials that each model of outcomes is fitted to")
+    parser.add_argument("--neighbours", type=int, default=200, help="trials that each model of outcomes is fitted to")
     parser.add_argument("--connect", default="tcp/127.0.0.1:7447")
     chosen = parser.parse_args()
     warnings.simplefilter("ignore")

@@ -174,7 +174,7 @@ def test_a_draw_is_the_first_within_the_bounds_of_documented_numbers(guided: Cal
         spread = np.minimum(4 * answer.sigmas / own.scales, own.high - own.low)[None]
         near = OutcomeModel.near(explorer.trials, own, (0,), z, mean, explorer.settings)
         posterior = condition_within(mean, spread, near.line(mean), own)
-        if np.abs(posterior.g - mean).max() > 0.3:
+        if np.linalg.norm(0.5 * (posterior.g - mean)) > 0.25 * np.sqrt(near.farthest[0]):
             near = OutcomeModel.near(explorer.trials, own, (0,), z, posterior.g, explorer.settings)
             posterior = condition_within(mean, spread, near.line(posterior.g), own)
         u = uniforms(5, [trial], P + 1 + attempts * (1 + P + 3))[0]

@@ -28,7 +28,7 @@ from crkr.learner.exploration.explorer import Choice, GaussianExplorer
 from crkr.learner.exploration.outcome_index import ObservedTrials
 from crkr.learner.exploration.outcome_model import OutcomeModel, Prospect
 from crkr.learner.exploration.outcome_posterior import OutcomeLine, Posterior, condition_within
-from crkr.learner.exploration.outcome_scales import OutcomeScales
+from crkr.learner.exploration.outcome_scales import GOAL_SHARE, OutcomeScales
 from crkr.learner.exploration.prequential import Calibration, DeferredCalibration, features
 from crkr.learner.exploration.tried_goals import better_starts, least_missing
 from crkr.learner.selection.anms_batch import Indices
@@ -39,7 +39,7 @@ __all__ = ["OutcomeExplorer"]
 _ATTEMPTS: Final = 16
 _BLOCK: Final = 32  # states per batch, as a numpy call costs as much as one state's matrices
 _STILL: Final = 0.02  # scales; updates end when one moves the goal by less
-_REFIT: Final = 0.3  # scales from where the model was fitted, beyond which it is refitted
+_REFIT: Final = 0.25  # share of the distance of the farthest neighbour, beyond which a goal's model is refitted
 _SAFE: Final = np.log(0.9)  # P(executed) above which a mean on target needs no update
 _UNKNOWN: Final = Calibration()
 _AROUND: Final = 0.5  # scales by which a goal that was tried may move
@@ -140,35 +140,31 @@ class OutcomeExplorer:
     def _best(self, states: Array, means: Array, sigmas: Array) -> Choice:
         z, m, spread = self._prior(states, means, sigmas)
         model = self._model(z, m)
-        seen = model.prospect(m[:, None])
-        fine = (np.abs(seen.o).max(axis=2) <= self.settings.gate) & (seen.executed >= _SAFE)
-        off = np.flatnonzero(~fine[:, 0])
-        scaled, raw, variance = m.copy(), seen.raw[:, 0].copy(), seen.variance[:, 0].copy()
-        corrected, chance = np.zeros(len(m), dtype=np.bool_), self._chance(seen, np.zeros(len(m), dtype=np.int64))
+        first = model.prospect(m[:, None])
+        fine = (np.abs(first.o).max(axis=2) <= self.settings.gate) & (first.executed >= _SAFE)
+        off, seen = np.flatnonzero(~fine[:, 0]), first.chosen(np.zeros(len(m), dtype=np.int64))
+        scaled, corrected = m.copy(), np.zeros(len(m), dtype=np.bool_)
         if len(off):
             for rows, posterior, near in self._conditioned(z[off], m[off], spread[off], model.of(off)):
                 candidates = self._candidates(m[off[rows]], posterior)
-                seen = near.prospect(candidates)
-                chosen, row, where = seen.score.argmax(axis=1), np.arange(len(rows)), off[rows]
-                scaled[where], corrected[where] = candidates[row, chosen], chosen != 0
-                raw[where], variance[where] = seen.raw[row, chosen], seen.variance[row, chosen]
-                chance[where] = self._chance(seen, chosen)
+                prospect = near.prospect(candidates)
+                chosen, where = prospect.score.argmax(axis=1), off[rows]
+                scaled[where], corrected[where] = candidates[np.arange(len(rows)), chosen], chosen != 0
+                seen.put(where, prospect.chosen(chosen))
         goals = self._goals(scaled)
         plain = np.clip(means, self.plain.low, self.plain.high)
         goals[~corrected] = plain[~corrected]
-        return self._choice(goals, corrected, model.entries, raw, variance, chance)
+        return self._choice(goals, corrected, model.entries, seen)
 
     def _draw(self, states: Array, means: Array, sigmas: Array, ids: Sequence[UUID]) -> Choice:
         z, m, spread = self._prior(states, means, sigmas)
         model = self._model(z, m)
-        drawn, raw, variance = np.empty_like(m), *np.empty((2, len(m), len(model.entries)))
-        chance = np.empty(len(m))
+        o, raw, variance = np.empty((3, len(m), len(model.entries)))
+        drawn, seen = np.empty_like(m), Prospect(o, raw, variance, np.empty(len(m)))
         for rows, posterior, near in self._conditioned(z, m, spread, model):
-            drawn[rows], seen = self._drawn(posterior, near, [ids[row] for row in rows.tolist()])
-            raw[rows], variance[rows] = seen.raw[:, 0], seen.variance[:, 0]
-            chance[rows] = self._chance(seen, np.zeros(len(rows), dtype=np.int64))
-        nowhere = np.zeros(len(m), dtype=np.bool_)
-        return self._choice(self._goals(drawn), nowhere, model.entries, raw, variance, chance)
+            drawn[rows] = goals = self._drawn(posterior, near, [ids[row] for row in rows.tolist()])
+            seen.put(rows, near.prospect(goals[:, None]).chosen(np.zeros(len(rows), dtype=np.int64)))
+        return self._choice(self._goals(drawn), np.zeros(len(m), dtype=np.bool_), model.entries, seen)
 
     def _prior(self, states: Array, means: Array, sigmas: Array) -> tuple[Array, Array, Array]:
         """States in the metric, scaled means, and how far the means may move."""
@@ -210,10 +206,11 @@ class OutcomeExplorer:
     def _refined(
         self, z: Array, means: Array, spread: Array, model: OutcomeModel, line: OutcomeLine
     ) -> Iterator[tuple[Indices, Posterior, OutcomeModel]]:
-        """Posteriors of these means, whose model has this line. Far from the mean the model is refitted: two parts."""
+        """Posteriors of these means, whose model has this line. Where other trials are nearest it is refitted."""
         posterior = condition_within(means, spread, line, self.scales)
-        away = np.abs(posterior.g - means).max(axis=1)
-        near, far = np.flatnonzero(away <= _REFIT), np.flatnonzero(away > _REFIT)
+        step = GOAL_SHARE * (posterior.g - means)
+        away = np.vecdot(step, step) > _REFIT**2 * model.farthest
+        near, far = np.flatnonzero(~away), np.flatnonzero(away)
         if len(near):
             local = model.of(near)
             yield near, self._updated(means[near], spread[near], posterior.of(near), means[near], local), local
@@ -245,7 +242,7 @@ class OutcomeExplorer:
         drawn = posterior.g[:, None] + widths * posterior.deviations(table)
         return np.concatenate([means[:, None], posterior.g[:, None], self.scales.within(drawn)], axis=1)
 
-    def _drawn(self, posterior: Posterior, model: OutcomeModel, ids: Sequence[UUID]) -> tuple[Array, Prospect]:
+    def _drawn(self, posterior: Posterior, model: OutcomeModel, ids: Sequence[UUID]) -> Array:
         b, p = posterior.g.shape
         q = len(self.scales.target) + 1
         u = uniforms(self.plain.seed, ids, p + 1 + _ATTEMPTS * (1 + p + q))
@@ -259,29 +256,23 @@ class OutcomeExplorer:
         chances = np.where(inside, model.executed(goals), -np.inf)
         taken = inside & (np.log(accepted) <= chances)
         chosen = np.where(taken.any(axis=1), taken.argmax(axis=1), chances.argmax(axis=1))
-        drawn = goals[np.arange(b), chosen]
-        return drawn, model.prospect(drawn[:, None])
+        return np.asarray(goals[np.arange(b), chosen])
 
     def _goals(self, scaled: Array) -> Array:
         goals = self.scales.middle + self.scales.scales * scaled
         return np.minimum(np.maximum(goals, self.plain.low), self.plain.high)
 
-    def _chance(self, seen: Prospect, chosen: Indices) -> Array:
-        """(b,) P(success) of the goal chosen at each state; NaN if unknown."""
-        looked_at = features(seen)[np.arange(len(chosen)), chosen]
-        curve = self.calibration.get().curve
-        return np.full(len(chosen), np.nan) if curve is None else curve.at(looked_at)
-
-    def _choice(
-        self, goals: Array, corrected: Any, entries: Indices, raw: Array, variance: Array, chance: Array
-    ) -> Choice:
-        own = self.scales
+    def _choice(self, goals: Array, corrected: Any, entries: Indices, seen: Prospect) -> Choice:
+        """The goals with their predicted outcomes (b, m) and P(success), NaN if unknown."""
+        own, calibration = self.scales, self.calibration.get()
         predicted, deviation = np.full((2, len(goals), len(own.target)), np.nan)
         with np.errstate(over="ignore"):
-            predicted[:, entries] = own.target[entries] + own.tolerance[entries] * raw
-            deviation[:, entries] = own.tolerance[entries] * np.sqrt(variance)
-            if (spread := self.calibration.get().spread) is not None:
-                deviation *= spread
+            predicted[:, entries] = own.target[entries] + own.tolerance[entries] * seen.raw
+            deviation[:, entries] = own.tolerance[entries] * np.sqrt(seen.variance)
+            if calibration.spread is not None:
+                deviation *= calibration.spread
+        curve = calibration.curve
+        chance = np.full(len(goals), np.nan) if curve is None else curve.at(features(seen))
         return Choice(goals, corrected, predicted, deviation, chance)
 
 

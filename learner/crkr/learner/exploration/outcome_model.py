@@ -61,6 +61,16 @@ class Prospect:
     variance: Array
     executed: Array
 
+    def chosen(self, which: Indices) -> Prospect:
+        """Predicted outcomes of one goal of each state (b,), without the axis of goals."""
+        row = np.arange(len(which))
+        return Prospect(*(part[row, which] for part in (self.o, self.raw, self.variance, self.executed)))
+
+    def put(self, which: Indices, other: Prospect) -> None:
+        """Replaces the rows of some states by those of `other`."""
+        self.o[which], self.raw[which] = other.o, other.raw
+        self.variance[which], self.executed[which] = other.variance, other.executed
+
     @property
     def score(self) -> Array:
         """(b, c) log probability that a goal is executed and on target, up to a constant."""
@@ -80,6 +90,7 @@ class OutcomeModel:
         places: Positions of the entries in the output of the fits.
         risky: States with refused goals near by.
         refusals: The model of refusals; None without any.
+        farthest: (b,) squared distance of the farthest neighbour, least over the fits.
         one_sided: (m,) +1 or -1 for entries that may exceed or fall short of their target, else 0.
     """
 
@@ -89,6 +100,7 @@ class OutcomeModel:
     places: tuple[Indices, ...]
     risky: Indices
     refusals: LocalGP | None
+    farthest: Array
     one_sided: Array
 
     @classmethod
@@ -114,14 +126,15 @@ class OutcomeModel:
         x = np.concatenate([z, GOAL_SHARE * goals], axis=1)
         p, count = goals.shape[1], min(settings.neighbours, MOST_NEIGHBOURS)
         kernel = _KERNELS[settings.model]
-        fits, together, places = [], [], []
+        fits, together, places, farthest = [], [], [], np.full(len(x), np.inf)
         risky, refusals = np.zeros(0, dtype=np.int64), None
         parts = [trials] if trials.former is None else [trials, trials.former]
         any_refused = any(part.any_refused for part in parts)
         everywhere = {one for one in (*groups, trials.everything) if all(part.hidden[one] is None for part in parts)}
         for counted, searched in _sets(trials, groups, everywhere, any_refused, count):
             near = _nearest(trials, x, [one[0] for one in searched], *counted)
-            D = _joined([found.D for _, found in near])
+            D, squared = _joined([found.D for _, found in near]), _joined([found.squared for _, found in near])
+            farthest = np.minimum(farthest, squared.max(axis=2).min(axis=0))
             if any_refused and searched[0][0] in everywhere:
                 refused = _joined([part.refused[found.rows[0]] for part, found in near], 1)
                 risky, refusals = _refusals(D[0], refused, p, counted[1])
@@ -142,7 +155,7 @@ class OutcomeModel:
             places.append(np.concatenate([place * widest + np.arange(len(own)) for place, own in enumerate(each)]))
         entries = np.concatenate(together)
         one_sided = scales.one_sided[entries]
-        return cls(goals, entries, tuple(fits), tuple(places), risky, refusals, one_sided)
+        return cls(goals, entries, tuple(fits), tuple(places), risky, refusals, farthest, one_sided)
 
     def prospect(self, goals: Array) -> Prospect:
         """Predicts the outcomes of goals (b, c, p)."""
@@ -206,7 +219,8 @@ class OutcomeModel:
         refusals = self.refusals.of(places) if self.refusals is not None and len(places) else None
         b = len(self.centre)
         fits = tuple(fit.of((np.arange(0, len(fit.D), b)[:, None] + which).ravel()) for fit in self.fits)
-        return OutcomeModel(self.centre[which], self.entries, fits, self.places, risky, refusals, self.one_sided)
+        parts = fits, self.places, risky, refusals, self.farthest[which]
+        return OutcomeModel(self.centre[which], self.entries, *parts, self.one_sided)
 
     def _missed(self, o: Array) -> Array:
         return np.where(self.one_sided * o > 0, 0.0, o)

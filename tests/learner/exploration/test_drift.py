@@ -53,6 +53,23 @@ def test_it_starts_from_nothing_and_steady_trials_raise_no_alarm(spec: TaskSpec)
     assert learner.drift.restarts == 0
 
 
+@pytest.mark.parametrize("seed", [1, 3])
+def test_a_young_model_of_a_folding_arm_is_not_taken_for_a_changed_robot(make_spec: MakeSpec, seed: int) -> None:
+    outcome = [{"name": name, "tolerance": TOLERANCE, "group": "miss"} for name in "ab"]
+    start = {"type": "space-filling", "count": 60}
+    learner = Learner(make_spec(2, 25, outcome=outcome, exploration={"type": "outcome"}, start=start, seed=seed))
+    rng = np.random.default_rng(seed)
+    for number in range(100):
+        state = rng.uniform(-0.7, 0.7, 2)
+        answer = learner.predict(state, True, training_id("t", 0, 1, number))
+        angles = np.cumsum(answer.goal.reshape(5, 5) @ [0.1, 0.2, 0.4, 0.8, 1.2])
+        outcome_here = np.array([np.cos(angles).mean(), np.sin(angles).mean()]) - state
+        success = bool((np.abs(outcome_here) < TOLERANCE).all())
+        learner.report(answer, cost=0.1, success=success, outcome=outcome_here)
+    assert learner.drift is not None
+    assert learner.drift.restarts == 0
+
+
 def test_a_changed_robot_is_noticed_and_learned_anew(spec: TaskSpec) -> None:
     learner = Learner(spec)
     train(learner, 0, 200)

@@ -60,7 +60,8 @@ class OutcomeLearner:
     def __init__(self, spec: TaskSpec, store: SampleStore) -> None:
         self._store, self._settings, self._scales = store, spec.exploration, OutcomeScales.of(spec)
         self._index = OutcomeIndex(self._scales, store)
-        self._record = PrequentialRecord(self._settings, self._scales)
+        self._filling = spec.start.count
+        self._record = PrequentialRecord(self._settings, self._scales, self._filling)
         self._deferred: DeferredCalibration | None = None  # what gives the record
         self._restarts = 0
         self._last_restart: int | None = None
@@ -99,7 +100,9 @@ class OutcomeLearner:
         looked_back = min(LOOKED_BACK, len(tried))
         first = int(np.searchsorted(usable, tried[-looked_back])) if looked_back else len(usable)
         steps = self._steps(len(usable) - first)
-        self._deferred = DeferredCalibration(self._settings, self._scales, len(tried) - looked_back, steps)
+        self._deferred = DeferredCalibration(
+            self._settings, self._scales, self._filling, len(tried) - looked_back, steps
+        )
         self._renew(self._deferred)
 
     def restart(self, seq: int, *, rebuild: bool) -> None:
@@ -110,7 +113,7 @@ class OutcomeLearner:
             rebuild: Rebuild the model; False if `rebuild` will be called.
         """
         self._index.restart(_KEPT_AT_DRIFT)
-        self._restarts, self._last_restart = self._restarts + 1, seq
+        self._restarts, self._last_restart, self._filling = self._restarts + 1, seq, 0
         if rebuild:
             self.rebuild()
 

@@ -39,7 +39,7 @@ _SPREADS: Final = (0.1, 10.0)
 _RESIDUAL_NOISE: Final = 0.05
 _LARGEST: Final = 9.0
 _NEWEST: Final = 20  # newest residuals, left out of the usual level
-_SETTLED: Final = 10  # residuals of the usual level before the watch begins
+_SETTLED: Final = 30  # residuals of the usual level before the watch begins
 _ALLOWANCE: Final = 1.5
 _LEAST_USUAL: Final = 0.5
 _ALARM: Final = 12.0
@@ -96,14 +96,16 @@ class PrequentialRecord:
     Args:
         settings: The task's `exploration`.
         scales: Its units.
+        filling: First trials of a task, whose goals fill the space. No residual of theirs counts as drift: the model is
+            young, and their goals are unlike those that follow.
         count: Earlier trials, no longer considered.
 
     Attributes:
         calibration: The calibration so far.
     """
 
-    def __init__(self, settings: Exploration, scales: OutcomeScales, count: int = 0) -> None:
-        self._settings, self._scales, self._count = settings, scales, count
+    def __init__(self, settings: Exploration, scales: OutcomeScales, filling: int = 0, count: int = 0) -> None:
+        self._settings, self._scales, self._filling, self._count = settings, scales, filling, count
         self._record: deque[_Expected] = deque(maxlen=_FITTED)
         self._residuals: deque[float] = deque(maxlen=_KEPT)  # known residuals only
         self._cusum = 0.0
@@ -138,7 +140,7 @@ class PrequentialRecord:
             off[model.entries] = (observed - seen.raw[0, 0]) / np.sqrt(seen.variance[0, 0])
             residual = np.nan if after.refused[-1] else _residual(seen, observed)
             self._record.append(_Expected(features(seen)[0, 0], bool(after.success[-1]), off))
-            if not np.isnan(residual):
+            if self._count > self._filling and not np.isnan(residual):
                 self._watch(residual)
         if self._record and self._count % _EVERY == 0:
             self._fit()
@@ -167,12 +169,16 @@ class DeferredCalibration:
     Args:
         settings: The task's `exploration`.
         scales: Its units.
+        filling: As `PrequentialRecord` takes it.
         count: Number of trials before the steps.
         steps: The trials, as `PrequentialRecord.extend` takes them.
     """
 
-    def __init__(self, settings: Exploration, scales: OutcomeScales, count: int, steps: Sequence[_Step]) -> None:
-        self._settings, self._scales, self._count, self._steps = settings, scales, count, steps
+    def __init__(
+        self, settings: Exploration, scales: OutcomeScales, filling: int, count: int, steps: Sequence[_Step]
+    ) -> None:
+        self._settings, self._scales, self._filling, self._count = settings, scales, filling, count
+        self._steps = steps
         self._record, self._noted = self._empty(), 0
         self._made: tuple[PrequentialRecord, Calibration] | None = None
 
@@ -202,7 +208,7 @@ class DeferredCalibration:
         return made
 
     def _empty(self) -> PrequentialRecord:
-        return PrequentialRecord(self._settings, self._scales, self._count)
+        return PrequentialRecord(self._settings, self._scales, self._filling, self._count)
 
 
 def _spread(off: Array) -> Array:

@@ -123,6 +123,7 @@ def fill(task: Task) -> None:
             success=number % 4 != 0,
             worker=f"crane-{number % 2}",
             info={"reason": "lifted" if number % 4 else "stuck"},
+            wait=number == 59,
         )
     for epoch in (0, 1):
         for number in range(5):

@@ -157,6 +157,7 @@ def _read_scalars(data: bytes) -> tuple[int, int, str] | None:
     return found if 0 <= found[0] < 2**62 and 0 <= found[1] < 2**62 else None
 
 
+@lru_cache(1024)
 def _count(data: bytes) -> int | None:
     """A whole number of the protocol."""
     try:
@@ -183,34 +184,46 @@ def packed_rows(answer: Prediction, ids: Sequence[bytes], compute_us: int) -> It
         ids: b ids of 16 bytes.
         compute_us: Time of the model for all of them [us].
     """
-    last = _entry("compute_us", compute_us)
+    last = _time(compute_us)
     tail = _scalars(answer.model_version, answer.active, answer.policy) + last
     tails = [tail] * len(ids)
     if answer.policy == "corrected" and answer.corrected is not None:  # of some goals only
         uncorrected = _scalars(answer.model_version, answer.active, "mean") + last
         tails = [tail if one else uncorrected for one in np.ravel(answer.corrected).tolist()]
-    known = [name for name in _BEFORE if getattr(answer, name) is not None]
-    columns = [_column(name, getattr(answer, name), len(ids)) for name in known]
-    modelled = answer.predicted_outcome is not None
-    after = _AFTER if modelled else ()
-    outcomes = [_column(name, getattr(answer, name), len(ids)) for name in after]
-    start = bytes([0x80 + len(columns) + 5 + len(outcomes)])  # the header of a map this small
+    arrays = [answer.goals, answer.means, answer.sigmas, answer.novelty]
+    if answer.success_probability is not None:
+        arrays.append(answer.success_probability)
+    before = len(arrays)
+    if answer.predicted_outcome is not None and answer.predicted_outcome_sd is not None:
+        arrays += (answer.predicted_outcome, answer.predicted_outcome_sd)
+    data = [array.astype("<f8", copy=False).tobytes() for array in arrays]
+    heads = _heads(before, len(data[0]) // len(ids), len(data[-1]) // len(ids) if len(arrays) > before else 0)
     for row, identity in enumerate(ids):
-        parts = [start]
-        for head, data, width in columns:
-            parts += (head, data[row * width : (row + 1) * width])
-        parts += (_ID_HEAD, identity, tails[row])
-        for head, data, width in outcomes:
-            parts += (head, data[row * width : (row + 1) * width])
+        parts: list[bytes] = []
+        for head, every in zip(heads, data, strict=True):
+            width = len(every) // len(ids)
+            parts += (head, every[row * width : (row + 1) * width])
+        parts[2 * before : 2 * before] = (_ID_HEAD, identity, tails[row])
         yield b"".join(parts)
 
 
-def _column(name: str, array: Array, count: int) -> tuple[bytes, bytes, int]:
-    """The bytes before each row, the bytes of all rows, and how many each row has."""
-    data = array.astype("<f8", copy=False).tobytes()
-    width = len(data) // count
-    scalar = array.ndim == 0 or (array.ndim == 1 and width == 8 and name in _SCALARS)
-    return _array_head(name, width, scalar), data, width
+@lru_cache(256)
+def _heads(before: int, width: int, measured: int) -> tuple[bytes, ...]:
+    """The bytes before each array of an answer.
+
+    Args:
+        before: How many of `_BEFORE` it has.
+        width: Bytes of a goal.
+        measured: Bytes of an expected outcome; 0 without one.
+    """
+    heads = [_array_head(name, 8 if name in _SCALARS else width, name in _SCALARS) for name in _BEFORE[:before]]
+    heads += [_array_head(name, measured, False) for name in _AFTER] if measured else ()
+    return bytes([0x80 + len(heads) + 5]) + heads[0], *heads[1:]  # the header of a map this small comes first
+
+
+@lru_cache(1024)
+def _time(compute_us: int) -> bytes:
+    return _entry("compute_us", compute_us)
 
 
 @lru_cache(256)

@@ -121,7 +121,7 @@ class GuardedSkill:
 
     def spec(self) -> TaskSpec:
         """The skill's specification."""
-        with skill_code(self._fault("spec")):
+        with skill_code(self._fault("spec")), self._within("spec"):
             spec = self._skill.spec()
         if not isinstance(spec, TaskSpec):
             raise SkillFault(f"{self._name}.spec must return a TaskSpec; got {type(spec).__name__}")
@@ -176,7 +176,7 @@ class GuardedSkill:
         if not isinstance(self._skill, HasScene):
             return []
         try:
-            with redirect_stdout(sys.stderr):
+            with redirect_stdout(sys.stderr), self._within("scene"):
                 shapes = list(self._skill.scene())
         except Exception as error:
             logger.warning("%s.scene: %s; displays show no shapes", self._name, one_line(error))

@@ -8,6 +8,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from typing import Final, final
 
@@ -16,7 +17,6 @@ import numpy as np
 from crkr.protocol import MAX_TELEMETRY_BYTES, Array, Geom, TaskSpec, pack
 from crkr.sim_worker.guarded_skill import MOST_FAULTS, GuardedSkill, SkillFault
 from crkr.sim_worker.skill import HasScene, Skill, TrialResult
-from crkr.sim_worker.time_limit import time_limit
 from crkr.sim_worker.worker.telemetry import thinned
 
 __all__ = ["Remark", "check", "problems"]
@@ -55,30 +55,16 @@ def problems(skill: Skill, *, seed: int = 0) -> list[str]:
 
 
 def check(
-    skill: Skill, *, seed: int = 0, timeout_s: float = 60.0, late: Callable[[Remark], None] | None = None
+    skill: Skill, *, seed: int = 0, within: Callable[[str], AbstractContextManager[object]] = lambda _: nullcontext()
 ) -> Iterator[Remark]:
     """Checks a skill with some 150 random situations and goals.
 
     Args:
         skill: What `load_skill` or your factory makes.
         seed: Of the situations and goals.
-        timeout_s: Time limit of a trial, or another call of the skill [s].
-        late: Called once from another thread if a call takes longer. It must end the process, as nothing else ends such
-            a call. None: no limit.
+        within: Returns the context in which a method of the skill, given by name, is called.
     """
-    if late is None:
-        yield from _all(skill, GuardedSkill(skill), seed)
-        return
-
-    def tell(method: str, place: str) -> None:
-        what, where = "a trial" if method == "execute" else "a call", f"; it is at {place}" if place else ""
-        late(Remark("problem", method, f"{what} did not end within {timeout_s:g} s{where}; --timeout allows more"))
-
-    with time_limit(timeout_s, tell) as within:
-        yield from _all(skill, GuardedSkill(skill, within), seed)
-
-
-def _all(skill: Skill, guarded: GuardedSkill, seed: int) -> Iterator[Remark]:
+    guarded = GuardedSkill(skill, within)
     try:
         spec = guarded.spec()
         yield Remark("ok", "spec", f"{spec.name}: R^{len(spec.state)} -> R^{len(spec.goal)}, {_measures(spec)}")

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import sys
-from contextlib import redirect_stdout
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
@@ -53,7 +50,7 @@ def check_skill(
     seed: Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Seed of the situations and goals.")] = 0,
     environment: Annotated[str | None, typer.Option(help="Simulator, e.g. contact.")] = None,
     launcher: Annotated[str | None, typer.Option(help="Where contexts come from, e.g. nominal.")] = None,
-    timeout: Annotated[float, typer.Option(min=0.1, metavar="SECONDS", help="How long a trial may take.")] = 60.0,
+    timeout: Annotated[float, typer.Option(min=0.1, metavar="SECONDS", help="Limit of a trial, +30 s to load.")] = 60.0,
     json: Json = False,
 ) -> None:
     """Try a skill without a server: shapes, ranges, repeatability, smoothness of outcomes, what an exception does.
@@ -63,27 +60,13 @@ def check_skill(
     Example: crkr check-skill my_robot.py:make
     """
     from crkr.sim_worker.skill import SkillOptions
-    from crkr.sim_worker.skill_check import Remark, check
-    from crkr.sim_worker.skill_registry import load_skill
+    from crkr.sim_worker.timed_check import timed_check
 
-    remarks, output = [], sys.stdout
-
-    def note(remark: Remark) -> None:
+    options, remarks = SkillOptions(environment=environment, launcher=launcher), []
+    for remark in timed_check(skill, options, seed=seed, timeout_s=timeout):
         remarks.append(remark)
         if not json:
             stdout.print(str(remark))
-
-    def late(remark: Remark) -> None:
-        with redirect_stdout(output):  # the skill's output goes to standard error
-            note(remark)
-            if json:
-                print_json([asdict(one) for one in remarks])
-            output.flush()
-        os._exit(1)  # nothing else ends an endless call
-
-    tried = load_skill(skill, SkillOptions(environment=environment, launcher=launcher))
-    for remark in check(tried, seed=seed, timeout_s=timeout, late=late):
-        note(remark)
     if json:
         print_json([asdict(remark) for remark in remarks])
     if any(remark.level == "problem" for remark in remarks):

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import multiprocessing
+import os
 import signal
 import time
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
 from typing import Any, Final, final
 
-from crkr.sim_worker.supervisor.child_process import MessagePipe, PipeClosed, ctrl_c_blocked
+from crkr.sim_worker.supervisor.child_process import MessagePipe, PipeClosed, ctrl_c_blocked, descendants_ended
 
 __all__ = ["WorkerProcess", "WorkerProcesses"]
 
@@ -19,6 +21,7 @@ FINISH_S: Final = 2.0
 """Time for a stopped worker to finish its trial [s]."""
 TERMINATE_S: Final = 1.0
 """Time after which a terminated worker is killed [s]."""
+MOST_EVENTS: Final = 100
 
 
 @final
@@ -30,6 +33,7 @@ class WorkerProcess:
         name: For people.
         process: The process.
         pipe: Our end of the pipe to it.
+        ended: A file that is readable once it has ended, even if a process that it started holds its files.
         tickets: Trials that it may still start or has under way.
         reason: Why it ended, if it said so.
         silent_s: How long it had made no progress when it was killed for that, or None [s].
@@ -38,6 +42,7 @@ class WorkerProcess:
     name: str
     process: SpawnProcess
     pipe: MessagePipe
+    ended: int
     tickets: int = 0
     reason: str | None = None
     silent_s: float | None = None
@@ -48,6 +53,12 @@ class WorkerProcess:
             self.pipe.send({"order": order, **fields})
         except PipeClosed:
             return
+
+    def close(self) -> None:
+        """Closes our ends; it has ended."""
+        self.pipe.close()
+        if self.ended != self.process.sentinel:
+            os.close(self.ended)
 
     def kill(self, silent_s: float) -> None:
         """Kills it after `silent_s` without progress; its end is noticed like any other."""
@@ -68,7 +79,7 @@ class WorkerProcess:
 
 @final
 class WorkerProcesses:
-    """Starts processes by the spawn method and receives their events; ends them all when left.
+    """Starts processes by the spawn method and receives their events; ends them all when left, and what they started.
 
     The terminal's Ctrl-C, which goes to the whole foreground group, does not reach them: the supervisor ends them.
     """
@@ -76,12 +87,15 @@ class WorkerProcesses:
     def __init__(self) -> None:
         self._context = multiprocessing.get_context("spawn")
         self._workers: list[WorkerProcess] = []
+        self._descendants = ExitStack()
 
     def __enter__(self) -> WorkerProcesses:
+        self._descendants.enter_context(descendants_ended())
         return self
 
     def __exit__(self, *exception: object) -> None:
-        self.stop()
+        with self._descendants:
+            self.stop()
 
     def start(self, name: str, body: Callable[[Any, Connection], None], settings: object) -> WorkerProcess:
         """Starts `body(settings, connection)` in a new process."""
@@ -90,7 +104,8 @@ class WorkerProcesses:
         with ctrl_c_blocked():
             process.start()
         theirs.close()  # so that the pipe ends with the process
-        worker = WorkerProcess(name, process, MessagePipe(ours))
+        ended = os.pidfd_open(process.pid or 0) if hasattr(os, "pidfd_open") else process.sentinel
+        worker = WorkerProcess(name, process, MessagePipe(ours), ended)
         self._workers.append(worker)
         return worker
 
@@ -103,16 +118,21 @@ class WorkerProcesses:
 
     def _read(self, worker: WorkerProcess) -> Iterator[tuple[WorkerProcess, dict[str, Any] | None]]:
         try:
-            while (event := worker.pipe.receive(0.0)) is not None:
+            for _ in range(MOST_EVENTS):  # others take turns, and limits of time are looked at
+                if (event := worker.pipe.receive(0.0)) is None:
+                    break
                 yield worker, event
+            else:
+                return
         except PipeClosed:
-            worker.process.join(TERMINATE_S)  # the pipe ends a moment before the process does
+            wait([worker.ended], TERMINATE_S)  # the pipe ends a moment before the process does
             if worker.process.exitcode is None:
+                worker.reason = worker.reason or "its pipe to this process broke"
                 worker.process.kill()
                 worker.process.join()
         if worker.process.exitcode is not None:
             self._workers.remove(worker)
-            worker.pipe.close()
+            worker.close()
             yield worker, None
 
     def stop(self) -> list[tuple[WorkerProcess, dict[str, Any]]]:
@@ -130,24 +150,26 @@ class WorkerProcesses:
         self._workers.clear()
         last = [(worker, event) for worker in workers for event in _rest(worker)]
         for worker in workers:
-            worker.pipe.close()
+            worker.close()
         return last
 
     def _join(self, patience_s: float) -> None:
         deadline = time.monotonic() + patience_s
         for worker in self._workers:
-            worker.process.join(max(0.0, deadline - time.monotonic()))
+            wait([worker.ended], max(0.0, deadline - time.monotonic()))
         self._workers = [worker for worker in self._workers if worker.process.exitcode is None]
 
 
 def _rest(worker: WorkerProcess) -> Iterator[dict[str, Any]]:
     """Events left in the pipe of a worker that has ended."""
     try:
-        while (event := worker.pipe.receive(0.0)) is not None:
+        for _ in range(MOST_EVENTS):
+            if (event := worker.pipe.receive(0.0)) is None:
+                return
             yield event
     except PipeClosed:
         return
 
 
 def _handles(worker: WorkerProcess) -> tuple[Any, Any]:
-    return worker.pipe.connection, worker.process.sentinel
+    return worker.pipe.connection, worker.ended

@@ -13,7 +13,7 @@ from crkr.client import Client, Task
 from crkr.client.cli.console import configure_logging
 from crkr.protocol import CrkrError
 from crkr.sim_worker.evaluation.evaluator import Evaluator
-from crkr.sim_worker.guarded_skill import GuardedSkill, keep_standard_output
+from crkr.sim_worker.guarded_skill import GuardedSkill, keep_standard_output, one_line
 from crkr.sim_worker.skill import SkillOptions
 from crkr.sim_worker.skill_registry import load_skill
 from crkr.sim_worker.supervisor.child_process import MessagePipe, PipeClosed, end_with_parent
@@ -80,6 +80,9 @@ def run_worker(settings: ProcessSettings, connection: Connection) -> None:
         logger.info("the supervisor is gone")
     except CrkrError as error:
         _explain(link, error.message)
+        sys.exit(FAILED)
+    except KeyboardInterrupt as error:  # of the skill: a terminal's is blocked
+        _explain(link, one_line(error))
         sys.exit(FAILED)
     except Exception as error:
         _explain(link, f"{type(error).__name__}: {error}")

@@ -173,7 +173,7 @@ class LocalGP:
         dots += bend
         cross, pull = self._with_change(dots), self._with_change(bend)
         pull /= own.reach**2
-        linear = pull + self._with_change(np.full(pull.shape[1], own.linear))
+        linear = pull + (self._with_change(np.full(pull.shape[1], own.linear)) if self.former else own.linear)
         slope = (self.alpha * linear[..., None]).swapaxes(1, 2) @ self.D
         slope -= (pull[:, None] @ self.alpha).swapaxes(1, 2) * step[:, None]
         return cross, (cross[:, None] @ self.alpha)[:, 0], slope

@@ -231,7 +231,10 @@ class OutcomeExplorer:
             before = posterior.g[moving]
             line = model.of(moving).line(before)
             after = condition_within(means[moving], spread[moving], line, self.scales)
-            posterior.put(moving, after)
+            if len(moving) == len(means):
+                posterior = after
+            else:
+                posterior.put(moving, after)
             moving = moving[np.abs(after.g - before).max(axis=1) >= _STILL]
         return posterior
 

@@ -91,7 +91,7 @@ class OutcomeModel:
         risky: States with refused goals near by.
         refusals: The model of refusals; None without any.
         farthest: (b,) squared distance of the farthest neighbour, least over the fits.
-        one_sided: (m,) +1 or -1 for entries that may exceed or fall short of their target, else 0.
+        one_sided: (m,) +1 or -1 for entries that may exceed or fall short of their target, else 0; None: all are 0.
     """
 
     centre: Array
@@ -101,7 +101,7 @@ class OutcomeModel:
     risky: Indices
     refusals: LocalGP | None
     farthest: Array
-    one_sided: Array
+    one_sided: Array | None
 
     @classmethod
     def near(
@@ -155,35 +155,41 @@ class OutcomeModel:
             places.append(np.concatenate([place * widest + np.arange(len(own)) for place, own in enumerate(each)]))
         entries = np.concatenate(together)
         one_sided = scales.one_sided[entries]
-        return cls(goals, entries, tuple(fits), tuple(places), risky, refusals, farthest, one_sided)
+        sided = one_sided if one_sided.any() else None
+        return cls(goals, entries, tuple(fits), tuple(places), risky, refusals, farthest, sided)
 
     def prospect(self, goals: Array) -> Prospect:
         """Predicts the outcomes of goals (b, c, p)."""
         steps = GOAL_SHARE * (goals - self.centre[:, None])
         raw, variance = self._expected(steps)
-        return Prospect(self._missed(raw), raw, variance, self.executed(goals))
+        return Prospect(self._missed(raw), raw, variance, self._executed(steps))
 
     def _expected(self, steps: Array) -> tuple[Array, Array]:
         """Expectations and variances (b, c, m) at steps (b, c, p)."""
         raw, variance = zip(*(fit.at(_for_each(steps, fit)) for fit in self.fits), strict=True)
-        return self._of_entries(raw), self._of_entries(variance)
+        return self._of_entries(raw, 2), self._of_entries(variance, 2)
 
-    def _of_entries(self, parts: Sequence[Array]) -> Array:
-        """(b, c, m) from the output (s b, c, *) of the fits."""
+    def _of_entries(self, parts: Sequence[Array], axis: int = 1) -> Array:
+        """(b, m), (b, m, *), or with axis 2 (b, c, m), from the output (s b, *), (s b, *, *) or (s b, c, *) of the fits."""
         b, each = len(self.centre), []
         for part, places in zip(parts, self.places, strict=True):
-            sets = part.reshape(-1, b, *part.shape[1:])
-            side_by_side = part if len(sets) == 1 else np.concatenate(list(sets), axis=-1)
-            whole = len(places) == side_by_side.shape[-1]
-            each.append(side_by_side if whole else side_by_side[..., places])
-        return each[0] if len(each) == 1 else np.concatenate(each, axis=-1)
+            side_by_side = part
+            if len(part) != b:
+                sets = part.reshape(-1, b, *part.shape[1:])
+                beside = sets.swapaxes(0, 1) if axis == 1 else sets.transpose(1, 2, 0, 3)
+                side_by_side = beside.reshape(b, *part.shape[1:axis], -1, *part.shape[axis + 1 :])
+            whole = len(places) == side_by_side.shape[axis]
+            each.append(side_by_side if whole else side_by_side.take(places, axis=axis))
+        return each[0] if len(each) == 1 else np.concatenate(each, axis=axis)
 
     def executed(self, goals: Array) -> Array:
         """(b, c) log P(executed) of goals (b, c, p)."""
-        chances = np.zeros(goals.shape[:2])
+        return self._executed(GOAL_SHARE * (goals - self.centre[:, None]))
+
+    def _executed(self, steps: Array) -> Array:
+        chances = np.zeros(steps.shape[:2])
         if self.refusals is not None:
-            steps = GOAL_SHARE * (goals[self.risky] - self.centre[self.risky, None])
-            r = self.refusals.mean(steps)[..., 0]
+            r = self.refusals.mean(steps[self.risky])[..., 0]
             chances[self.risky] = log_ndtr((r - _THRESHOLD) / _WIDTH)
         return chances
 
@@ -191,24 +197,25 @@ class OutcomeModel:
         """The entries as straight lines at goals (b, p), and one more entry: to be executed."""
         steps = GOAL_SHARE * (goals - self.centre)
         means, variances, slopes = zip(*(fit.line(_for_each(steps, fit)) for fit in self.fits), strict=True)
-        o, variance = self._of_entries(means), self._of_entries(variances)
-        J = self._of_entries([slope.swapaxes(1, 2) for slope in slopes]).swapaxes(1, 2)
-        (b, m), p = o.shape, goals.shape[1]
-        all_o, all_J, R = np.zeros((b, m + 1)), np.zeros((b, m + 1, p)), np.ones((b, m + 1))
-        missed = self._missed(o)
-        all_o[:, :m], R[:, :m] = missed, 1.0 + variance
-        all_J[:, :m] = np.where(((self.one_sided != 0) & (missed == 0))[..., None], 0.0, GOAL_SHARE * J)
+        o, (b, p), m = self._of_entries(means), goals.shape, len(self.entries)
+        all_o, all_J, R = np.zeros((b, m + 1)), np.zeros((b, m + 1, p)), np.zeros((b, m + 1))
+        all_o[:, :m], R[:, :m] = self._missed(o), self._of_entries(variances)
+        R += 1.0
+        np.multiply(self._of_entries(slopes), GOAL_SHARE, out=all_J[:, :m])
+        if self.one_sided is not None:
+            all_J[:, :m][(self.one_sided != 0) & (all_o[:, :m] == 0)] = 0.0
         if self.refusals is not None:
             r, slope = self.refusals.tangent(steps[self.risky])
             unsafe = r[:, 0] < _SAFE
-            rows = self.risky[unsafe]
-            all_o[rows, m] = r[unsafe, 0] / _WIDTH
-            all_J[rows, m] = slope[unsafe, 0] * (GOAL_SHARE / _WIDTH)
+            if unsafe.any():
+                rows = self.risky[unsafe]
+                all_o[rows, m] = r[unsafe, 0] / _WIDTH
+                all_J[rows, m] = slope[unsafe, 0] * (GOAL_SHARE / _WIDTH)
         return OutcomeLine(goals, all_o, all_J, R)
 
     def state_slope(self) -> Array:
         """(b, m, d) change of the expected outcomes at the centre with a step of the state in the metric."""
-        return self._of_entries([fit.state_slope().swapaxes(1, 2) for fit in self.fits]).swapaxes(1, 2)
+        return self._of_entries([fit.state_slope() for fit in self.fits])
 
     def of(self, which: Indices) -> OutcomeModel:
         """The model near some of the states."""
@@ -223,7 +230,7 @@ class OutcomeModel:
         return OutcomeModel(self.centre[which], self.entries, *parts, self.one_sided)
 
     def _missed(self, o: Array) -> Array:
-        return np.where(self.one_sided * o > 0, 0.0, o)
+        return o if self.one_sided is None else np.where(self.one_sided * o > 0, 0.0, o)
 
 
 def _for_each(steps: Array, fit: LocalGP) -> Array:

@@ -10,7 +10,7 @@ from the target. A zero row of o and J carries no information.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final, final
 
 import numpy as np
@@ -110,12 +110,12 @@ def condition(mean: Array, spread: Array, line: OutcomeLine) -> Posterior:
 
 def condition_within(mean: Array, spread: Array, line: OutcomeLine, scales: OutcomeScales) -> Posterior:
     """The same with a mean within the bounds: coordinates outside are fixed at their bound, and the others adapt."""
-    posterior = condition(mean, spread, line)
-    g = scales.within(posterior.g)
-    beyond = g != posterior.g
+    found = condition(mean, spread, line)
+    g = scales.within(found.g)
+    beyond = g != found.g
     if beyond.any():
         rows = np.flatnonzero(beyond.any(axis=1))
         held, fixed = beyond[rows], g[rows]
         mean, spread = np.where(held, fixed, mean[rows]), np.where(held, 0.0, spread[rows])
         g[rows] = scales.within(condition(mean, spread, line.of(rows)).g)
-    return replace(posterior, g=g)
+    return Posterior(g, found.spread, found.J, found.G, found.R)

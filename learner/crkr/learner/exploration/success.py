@@ -130,4 +130,5 @@ class SuccessRate:
 
 def bounded(features: Array) -> Array:
     """Features, clipped to the range of the regression."""
-    return np.clip(np.nan_to_num(features, nan=0.0, posinf=_LARGEST, neginf=-_LARGEST), -_LARGEST, _LARGEST)
+    within = np.minimum(np.maximum(features, -_LARGEST), _LARGEST)
+    return np.where(np.isnan(within), 0.0, within)

@@ -31,7 +31,7 @@ _KNOWN_SLOPE: Final = 3.0  # the same if the outcome is shifted by its slope
 
 
 def least_missing(
-    trials: ObservedTrials, entries: Indices, one_sided: Array, z: Array, slopes: Array | None = None
+    trials: ObservedTrials, entries: Indices, one_sided: Array | None, z: Array, slopes: Array | None = None
 ) -> tuple[Array, Array]:
     """Goals (b, p) that should miss least at states z, scaled, and (b,) the squared tolerances they should miss by.
 
@@ -40,7 +40,7 @@ def least_missing(
     Args:
         trials: At least one.
         entries: (m,) outcome entries that count.
-        one_sided: (m,) +1 or -1 for entries that may exceed or fall short of their target, else 0.
+        one_sided: (m,) +1 or -1 for entries that may exceed or fall short of their target, else 0; None: all are 0.
         z: (b, d) states in the metric.
         slopes: (b, m, d) of the outcomes, in tolerances for each step of the state; None: unknown.
     """
@@ -49,7 +49,7 @@ def least_missing(
     X, o, cost = trials.X[first:], trials.Y[None, first:, entries], _UNKNOWN_SLOPE
     if slopes is not None:
         o, cost = o + (z[:, None] - X[:, :d]) @ slopes.swapaxes(1, 2), _KNOWN_SLOPE
-    o = np.where(one_sided * o > 0, 0.0, o)
+    o = o if one_sided is None else np.where(one_sided * o > 0, 0.0, o)
     off = np.where(np.isnan(o), _UNSEEN, np.minimum(o * o, _FAR)).sum(axis=2) + _FAR * trials.refused[first:]
     off = off + cost * squared_distances(z, X[:, :d])
     best = off.argmin(axis=1)

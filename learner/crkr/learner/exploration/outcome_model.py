@@ -12,7 +12,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence, Set
 from dataclasses import dataclass, replace
-from typing import Any, Final, final
+from functools import lru_cache
+from typing import Any, Final, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -126,36 +127,35 @@ class OutcomeModel:
         x = np.concatenate([z, GOAL_SHARE * goals], axis=1)
         p, count = goals.shape[1], min(settings.neighbours, MOST_NEIGHBOURS)
         kernel = _KERNELS[settings.model]
-        fits, together, places, farthest = [], [], [], np.full(len(x), np.inf)
+        fits, every, places = [], [], []
         risky, refusals = np.zeros(0, dtype=np.int64), None
         parts = [trials] if trials.former is None else [trials, trials.former]
         any_refused = any(part.any_refused for part in parts)
         everywhere = {one for one in (*groups, trials.everything) if all(part.hidden[one] is None for part in parts)}
+        farthest = np.empty(0)
         for counted, searched in _sets(trials, groups, everywhere, any_refused, count):
             near = _nearest(trials, x, [one[0] for one in searched], *counted)
             D, squared = _joined([found.D for _, found in near]), _joined([found.squared for _, found in near])
-            farthest = np.minimum(farthest, squared.max(axis=2).min(axis=0))
+            least = squared.max(axis=2).min(axis=0)
+            farthest = np.minimum(farthest, least) if len(farthest) else least
             if any_refused and searched[0][0] in everywhere:
                 refused = _joined([part.refused[found.rows[0]] for part, found in near], 1)
                 risky, refusals = _refusals(D[0], refused, p, counted[1])
-            first = int(searched[0] == [trials.everything])  # the group of all trials is searched for refusals only
-            sets = searched[first:]
+            first = int(searched[0] == (trials.everything,))  # the group of all trials is searched for refusals only
+            sets = tuple(searched[first:])
             if not sets:
                 continue
-            each = [np.concatenate([scales.groups[group] for group in one]) for one in sets]
-            widest = max(map(len, each))
-            Y, noise = np.zeros((len(sets), *D.shape[1:3], widest)), np.empty((len(sets), *D.shape[1:3]))
-            for place, entries in enumerate(each):
-                own = _joined([part.Y[found.rows[first + place][:, :, None], entries] for part, found in near], 1)
-                Y[place, ..., : len(entries)] = own
-                noise[place] = kernel.noise + _SHARE_OF_SIZE / len(entries) * np.vecdot(own, own)
+            own = _columns(scales, sets)
+            q = trials.Y.shape[1]
+            Y = _joined([part.Y.take(found.rows[first:, ..., None] * q + own.table) for part, found in near])
+            for place, unused in own.unused:
+                Y[place, ..., -unused:] = 0.0
+            noise = kernel.noise + own.shares * np.vecdot(Y, Y)
             D, Y, noise = (array.reshape(-1, *array.shape[2:]) for array in (D[first:], Y, noise))
             fits.append(LocalGP.fit(kernel, D, Y, p, noise, counted[1]))
-            together += each
-            places.append(np.concatenate([place * widest + np.arange(len(own)) for place, own in enumerate(each)]))
-        entries = np.concatenate(together)
-        one_sided = scales.one_sided[entries]
-        sided = one_sided if one_sided.any() else None
+            every += sets
+            places.append(own.places)
+        entries, sided = _entries(scales, tuple(every))
         return cls(goals, entries, tuple(fits), tuple(places), risky, refusals, farthest, sided)
 
     def prospect(self, goals: Array) -> Prospect:
@@ -233,6 +233,41 @@ class OutcomeModel:
         return o if self.one_sided is None else np.where(self.one_sided * o > 0, 0.0, o)
 
 
+class _Columns(NamedTuple):
+    """Where the outcomes of s sets of entries are, side by side.
+
+    Attributes:
+        table: (s, 1, 1, w) entries; those of a shorter set repeat.
+        unused: The shorter sets, each with its number of repeated entries.
+        shares: (s, 1, 1) shares of a squared outcome that are noise.
+        places: (m,) positions of all entries among the s w ones.
+    """
+
+    table: Indices
+    unused: tuple[tuple[int, int], ...]
+    shares: Array
+    places: Indices
+
+
+@lru_cache(maxsize=64)
+def _columns(scales: OutcomeScales, sets: tuple[tuple[int, ...], ...]) -> _Columns:
+    each = [_entries(scales, (one,))[0] for one in sets]
+    w = max(map(len, each))
+    unused = tuple((place, w - len(own)) for place, own in enumerate(each) if len(own) < w)
+    shares = np.array([_SHARE_OF_SIZE / len(own) for own in each])
+    places = np.concatenate([place * w + np.arange(len(own)) for place, own in enumerate(each)])
+    table = np.stack([np.resize(own, w) for own in each])
+    return _Columns(table[:, None, None], unused, shares[:, None, None], places)
+
+
+@lru_cache(maxsize=64)
+def _entries(scales: OutcomeScales, sets: tuple[tuple[int, ...], ...]) -> tuple[Indices, Array | None]:
+    """(m,) entries of the sets in order, and (m,) their sides; None: none is one-sided."""
+    entries = np.concatenate([scales.groups[group] for one in sets for group in one])
+    sides = scales.one_sided[entries]
+    return entries, sides if sides.any() else None
+
+
 def _for_each(steps: Array, fit: LocalGP) -> Array:
     """Steps (b, ...), repeated for each set of entries of a fit."""
     sets = len(fit.D) // len(steps)
@@ -241,11 +276,12 @@ def _for_each(steps: Array, fit: LocalGP) -> Array:
 
 def _refusals(D: Array, refused: NDArray[np.bool_], p: int, former: int) -> tuple[Indices, LocalGP | None]:
     """Points with a refused goal among their neighbours, and the model there."""
-    risky = np.flatnonzero(refused.any(axis=1))
+    risky = refused.any(axis=1).nonzero()[0]
     if not len(risky):
         return risky, None
-    y = np.where(refused[risky], _REFUSED, 0.0)[..., None]
-    return risky, LocalGP.fit(_REFUSAL, D[risky], y, p, former=former)
+    if len(risky) < len(D):
+        D, refused = D[risky], refused[risky]
+    return risky, LocalGP.fit(_REFUSAL, D, np.where(refused, _REFUSED, 0.0)[..., None], p, former=former)
 
 
 def _counted(trials: ObservedTrials, group: int, count: int) -> tuple[int, int]:
@@ -272,14 +308,14 @@ def _joined(parts: list[NDArray[Any]], axis: int = 2) -> NDArray[Any]:
 
 def _sets(
     trials: ObservedTrials, groups: Sequence[int], everywhere: Set[int], any_refused: bool, count: int
-) -> Iterable[tuple[tuple[int, int], list[list[int]]]]:
+) -> Iterable[tuple[tuple[int, int], list[tuple[int, ...]]]]:
     """Numbers of neighbours, each with its groups; groups observed in all trials come first, together.
 
     The group of all trials is added where a goal was refused and no other group was always observed.
     """
-    whole = [group for group in groups if group in everywhere]
-    together = [whole] if whole else [[trials.everything]] if any_refused else []
-    sets: dict[tuple[int, int], list[list[int]]] = {}
-    for one in together + [[group] for group in groups if group not in everywhere]:
+    whole = tuple(group for group in groups if group in everywhere)
+    together = [whole] if whole else [(trials.everything,)] if any_refused else []
+    sets: dict[tuple[int, int], list[tuple[int, ...]]] = {}
+    for one in together + [(group,) for group in groups if group not in everywhere]:
         sets.setdefault(_counted(trials, one[0], count), []).append(one)
     return sets.items()

@@ -88,8 +88,11 @@ def _around_one(trials: ObservedTrials, x: Array, groups: Sequence[int], count: 
 
 def _among_few(trials: ObservedTrials, x: Array, groups: Sequence[int], count: int) -> Neighbours:
     distances = squared_distances(x, trials.X)
-    each = [distances if hidden is None else distances + hidden for hidden in (trials.hidden[one] for one in groups)]
-    rows = np.stack([np.argpartition(own, count - 1, axis=1)[:, :count] for own in each])
+    rows = np.empty((len(groups), len(x), count), dtype=np.int64)
+    for place, group in enumerate(groups):
+        hidden = trials.hidden[group]
+        own = distances if hidden is None else distances + hidden
+        rows[place] = own.argpartition(count - 1, axis=1)[:, :count]
     return Neighbours(rows, trials.X[rows] - x[:, None], distances[np.arange(len(x))[:, None], rows])
 
 

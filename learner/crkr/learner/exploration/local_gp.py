@@ -11,7 +11,9 @@ Every array has a leading axis of b points. A point's result does not depend on 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Final, final
 
 import numpy as np
@@ -150,33 +152,38 @@ class LocalGP:
 
         A slope is the derivative of the expectation by the goal's coordinates in the metric.
         """
-        cross, mean, slope = self._line(step)
+        cross, pull, lengths = self._line(step)
+        mean = (cross[:, None] @ self.alpha)[:, 0]
         for L, one in zip(self.factors, cross, strict=True):
             blas.dtrsv(L, one, lower=1, overwrite_x=1)
-        return mean, self._variance(np.vecdot(step, step), np.vecdot(cross, cross)), slope
+        return mean, self._variance(lengths, np.vecdot(cross, cross)), self._slope(step, pull)
 
-    def tangent(self, step: Array) -> tuple[Array, Array]:
-        """Expectations (b, m) at steps (b, p), and their slopes (b, m, p)."""
-        _, mean, slope = self._line(step)
-        return mean, slope
+    def tangent(self, step: Array) -> tuple[Array, Callable[[], Array]]:
+        """Expectations (b, m) at steps (b, p), and what computes their slopes (b, m, p), at most once."""
+        cross, pull, _ = self._line(step)
+        return (cross[:, None] @ self.alpha)[:, 0], partial(self._slope, step, pull)
 
     def _line(self, step: Array) -> tuple[Array, Array, Array]:
-        """Kernel (b, k) between steps and neighbours, expectations and slopes."""
-        own = self.kernel
+        """Kernel (b, k) between steps and neighbours, its curved part, and the steps' squared lengths (b,)."""
+        own, lengths = self.kernel, np.vecdot(step, step)
         dots = (self.D @ step[..., None])[..., 0]
-        bend = dots - 0.5 * (self.squares + np.vecdot(step, step)[:, None])
+        bend = dots - 0.5 * (self.squares + lengths[:, None])
         bend /= own.reach**2
         np.exp(bend, out=bend)
         bend *= own.bend
         dots *= own.linear
         dots += own.constant
         dots += bend
-        cross, pull = self._with_change(dots), self._with_change(bend)
+        return self._with_change(dots), self._with_change(bend), lengths
+
+    def _slope(self, step: Array, pull: Array) -> Array:
+        """(b, m, p) slopes of the expectations at steps (b, p), from the curved part of the kernel, overwritten."""
+        own = self.kernel
         pull /= own.reach**2
         linear = pull + (self._with_change(np.full(pull.shape[1], own.linear)) if self.former else own.linear)
         slope = (self.alpha * linear[..., None]).swapaxes(1, 2) @ self.D
         slope -= (pull[:, None] @ self.alpha).swapaxes(1, 2) * step[:, None]
-        return cross, (cross[:, None] @ self.alpha)[:, 0], slope
+        return slope
 
     def state_slope(self) -> Array:
         """(b, m, d) derivatives of the expectation at the point by the state's coordinates in the metric."""

@@ -140,10 +140,14 @@ class OutcomeExplorer:
     def _best(self, states: Array, means: Array, sigmas: Array) -> Choice:
         z, m, spread = self._prior(states, means, sigmas)
         model = self._model(z, m)
-        first = model.prospect(m[:, None])
-        fine = (np.abs(first.o).max(axis=2) <= self.settings.gate) & (first.executed >= _SAFE)
-        off, seen = np.flatnonzero(~fine[:, 0]), first.chosen(np.zeros(len(m), dtype=np.int64))
-        scaled, corrected = m.copy(), np.zeros(len(m), dtype=np.bool_)
+        seen = Prospect.empty(len(m), len(model.entries))
+        fine = np.abs(model.missed(m)).max(axis=1) <= self.settings.gate
+        if fine.any():
+            rows = fine.nonzero()[0]
+            first = model.of(rows).prospect(m[rows, None]).first()
+            seen.put(rows, first)
+            fine[rows] = first.executed >= _SAFE
+        off, scaled, corrected = (~fine).nonzero()[0], m.copy(), np.zeros(len(m), dtype=np.bool_)
         if len(off):
             for rows, posterior, near in self._conditioned(z[off], m[off], spread[off], model.of(off)):
                 candidates = self._candidates(m[off[rows]], posterior)
@@ -159,11 +163,10 @@ class OutcomeExplorer:
     def _draw(self, states: Array, means: Array, sigmas: Array, ids: Sequence[UUID]) -> Choice:
         z, m, spread = self._prior(states, means, sigmas)
         model = self._model(z, m)
-        o, raw, variance = np.empty((3, len(m), len(model.entries)))
-        drawn, seen = np.empty_like(m), Prospect(o, raw, variance, np.empty(len(m)))
+        drawn, seen = np.empty_like(m), Prospect.empty(len(m), len(model.entries))
         for rows, posterior, near in self._conditioned(z, m, spread, model):
             drawn[rows] = goals = self._drawn(posterior, near, [ids[row] for row in rows.tolist()])
-            seen.put(rows, near.prospect(goals[:, None]).chosen(np.zeros(len(rows), dtype=np.int64)))
+            seen.put(rows, near.prospect(goals[:, None]).first())
         return self._choice(self._goals(drawn), np.zeros(len(m), dtype=np.bool_), model.entries, seen)
 
     def _prior(self, states: Array, means: Array, sigmas: Array) -> tuple[Array, Array, Array]:

@@ -62,6 +62,15 @@ class Prospect:
     variance: Array
     executed: Array
 
+    @classmethod
+    def empty(cls, b: int, m: int) -> Prospect:
+        """For `put`, with one goal of each state."""
+        return cls(np.empty((b, m)), np.empty((b, m)), np.empty((b, m)), np.empty(b))
+
+    def first(self) -> Prospect:
+        """Predicted outcomes of the first goal of each state."""
+        return Prospect(self.o[:, 0], self.raw[:, 0], self.variance[:, 0], self.executed[:, 0])
+
     def chosen(self, which: Indices) -> Prospect:
         """Predicted outcomes of one goal of each state (b,), without the axis of goals."""
         row = np.arange(len(which))
@@ -127,7 +136,8 @@ class OutcomeModel:
         x = np.concatenate([z, GOAL_SHARE * goals], axis=1)
         p, count = goals.shape[1], min(settings.neighbours, MOST_NEIGHBOURS)
         kernel = _KERNELS[settings.model]
-        fits, every, places = [], [], []
+        every: list[tuple[int, ...]] = []
+        fits, places = [], []
         risky, refusals = np.zeros(0, dtype=np.int64), None
         parts = [trials] if trials.former is None else [trials, trials.former]
         any_refused = any(part.any_refused for part in parts)
@@ -158,6 +168,11 @@ class OutcomeModel:
         entries, sided = _entries(scales, tuple(every))
         return cls(goals, entries, tuple(fits), tuple(places), risky, refusals, farthest, sided)
 
+    def missed(self, goals: Array) -> Array:
+        """(b, m) expected outcomes of goals (b, p), as `Prospect.o`."""
+        steps = GOAL_SHARE * (goals - self.centre)[:, None]
+        return self._missed(self._of_entries([fit.mean(_for_each(steps, fit)) for fit in self.fits], 2)[:, 0])
+
     def prospect(self, goals: Array) -> Prospect:
         """Predicts the outcomes of goals (b, c, p)."""
         steps = GOAL_SHARE * (goals - self.centre[:, None])
@@ -170,7 +185,10 @@ class OutcomeModel:
         return self._of_entries(raw, 2), self._of_entries(variance, 2)
 
     def _of_entries(self, parts: Sequence[Array], axis: int = 1) -> Array:
-        """(b, m), (b, m, *), or with axis 2 (b, c, m), from the output (s b, *), (s b, *, *) or (s b, c, *) of the fits."""
+        """Of all entries, from the output of the fits: (b, m) or (b, m, p) from (s b, *) or (s b, *, p).
+
+        With axis 2 (b, c, m) from (s b, c, *).
+        """
         b, each = len(self.centre), []
         for part, places in zip(parts, self.places, strict=True):
             side_by_side = part
@@ -205,12 +223,12 @@ class OutcomeModel:
         if self.one_sided is not None:
             all_J[:, :m][(self.one_sided != 0) & (all_o[:, :m] == 0)] = 0.0
         if self.refusals is not None:
-            r, slope = self.refusals.tangent(steps[self.risky])
+            r, slopes_of = self.refusals.tangent(steps[self.risky])
             unsafe = r[:, 0] < _SAFE
             if unsafe.any():
                 rows = self.risky[unsafe]
                 all_o[rows, m] = r[unsafe, 0] / _WIDTH
-                all_J[rows, m] = slope[unsafe, 0] * (GOAL_SHARE / _WIDTH)
+                all_J[rows, m] = slopes_of()[unsafe, 0] * (GOAL_SHARE / _WIDTH)
         return OutcomeLine(goals, all_o, all_J, R)
 
     def state_slope(self) -> Array:
@@ -276,7 +294,7 @@ def _for_each(steps: Array, fit: LocalGP) -> Array:
 
 def _refusals(D: Array, refused: NDArray[np.bool_], p: int, former: int) -> tuple[Indices, LocalGP | None]:
     """Points with a refused goal among their neighbours, and the model there."""
-    risky = refused.any(axis=1).nonzero()[0]
+    risky = np.flatnonzero(refused.any(axis=1))
     if not len(risky):
         return risky, None
     if len(risky) < len(D):

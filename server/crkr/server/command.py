@@ -83,10 +83,11 @@ def server(
     from crkr.server.log.postgres.url import is_url, printable_location
     from crkr.server.server import Server, ServerSettings
     from crkr.server.session import endpoints
-    from crkr.server.thread_faults import FAULTS
+    from crkr.server.thread_faults import FAULTS, check_threads
 
     if peer and not is_url(data):
         raise typer.BadParameter("servers share the tasks of a database only", param_hint="--peer")
+    check_threads()
     log = _log_to_stderr(log_level)
     FAULTS.watch()
     _be_quick()

@@ -15,15 +15,17 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any, Final, final
 
+from crkr.protocol import Unavailable
 from crkr.protocol.zenoh_files import is_panic
 
-__all__ = ["FAULTS", "ThreadFaults", "keep_running", "run_once"]
+__all__ = ["FAULTS", "ThreadFaults", "check_threads", "keep_running", "run_once", "started"]
 
 logger = logging.getLogger(__name__)
 
 _MOST_NAMES: Final = 64  # thread names in the counts
 _OTHER: Final = "other"
 _UNNAMED: Final = re.compile(r"Thread-\d+(?: \((.*)\))?")
+_NEEDED: Final = 64  # threads of a server with few clients, and some for those that do not read their answers
 _LONGEST_PAUSE_S: Final = 1.0  # between tries of a step that keeps failing
 
 
@@ -120,3 +122,32 @@ def run_once(work: Callable[[], None]) -> None:
         work()
     except BaseException as error:
         FAULTS.note(error)
+
+
+def started(thread: threading.Thread) -> bool:
+    """Start a thread; False, and a fault of this one, where the system allows no more."""
+    try:
+        thread.start()
+    except RuntimeError as error:
+        FAULTS.note(error)
+        return False
+    return True
+
+
+def check_threads() -> None:
+    """Raise `Unavailable` if this process may not start the threads that a server needs."""
+    over, waiting = threading.Event(), list[threading.Thread]()
+    try:
+        for _ in range(_NEEDED):
+            waiting.append(threading.Thread(target=over.wait, daemon=True))
+            waiting[-1].start()
+    except RuntimeError as error:
+        del waiting[-1]
+        raise Unavailable(
+            f"the system lets this process start {len(waiting)} threads, and a server needs {_NEEDED}: raise the limit "
+            "of processes (ulimit -u, TasksMax of its unit, pids of its container) or of memory (ulimit -v)"
+        ) from error
+    finally:
+        over.set()
+        for thread in waiting:
+            thread.join()

@@ -16,6 +16,7 @@ from typing import Final, final
 from crkr.learner import accelerable, accelerate
 from crkr.server.installed_code import InstalledCode
 from crkr.server.learning.tasks import ServedTask
+from crkr.server.thread_faults import started
 
 __all__ = ["LONG", "MUCH_TO_SEARCH", "Acceleration", "accelerate_search"]
 
@@ -47,7 +48,7 @@ class Acceleration:
                 task.eligible,
             )
             return
-        threading.Thread(target=self._load, name="acceleration", daemon=True).start()
+        self._begun = started(threading.Thread(target=self._load, name="acceleration", daemon=True))
 
     def stop(self) -> None:
         """End the process that compiles, if there is one."""

@@ -14,7 +14,7 @@ from multiprocessing.connection import Connection
 from typing import Any, Final, final
 
 from crkr.learner import FitProblem, FitResult, check_fit, fit
-from crkr.protocol import CrkrError, Internal, ShuttingDown, Unsupported
+from crkr.protocol import Busy, CrkrError, Internal, ShuttingDown, Unsupported
 from crkr.server.installed_code import InstalledCode
 from crkr.server.learning.tasks import ServedTask, Tasks
 from crkr.server.learning.thread import Learning
@@ -29,6 +29,7 @@ logger = logging.getLogger(__name__)
 
 _PATIENCE_S: Final = 120.0
 _POLL_S: Final = 0.2
+_RETRY_MS: Final = 1000
 
 
 @final
@@ -144,10 +145,18 @@ class Fitting:
                     "server, and ask again"
                 )
             context = multiprocessing.get_context("spawn")  # a fork would break Zenoh's threads
-            self._pipe, theirs = context.Pipe()
-            self._process = context.Process(target=_serve, args=(theirs,), name="fit", daemon=True)
-            self._process.start()
-            theirs.close()  # so that each side notices the other's death
+            try:
+                self._pipe, theirs = context.Pipe()
+                with theirs:  # closed here, so that each side notices the other's death
+                    process = context.Process(target=_serve, args=(theirs,), name="fit", daemon=True)
+                    process.start()
+            except OSError as error:
+                raise Busy(
+                    f"the system starts no process for the fit ({error.strerror}): raise the server's limit of "
+                    "processes and files, or ask again later",
+                    retry_ms=_RETRY_MS,
+                ) from error
+            self._process = process
         return self._pipe
 
     def _discard(self) -> None:

@@ -103,7 +103,11 @@ class _Http(socketserver.ThreadingTCPServer):
         if oldest is not None:
             with suppress(OSError):  # it ended by itself
                 oldest.shutdown(socket.SHUT_RDWR)
-        super().process_request(request, client_address)
+        try:
+            super().process_request(request, client_address)
+        except RuntimeError as error:  # no more threads can be started, which the metrics tell
+            FAULTS.note(error, "metrics")
+            self.process_request_thread(request, client_address)
 
     def process_request_thread(self, request: Any, client_address: Any) -> None:
         try:

@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable
 from typing import Final, final
 
-from crkr.server.thread_faults import keep_running
+from crkr.server.thread_faults import keep_running, started
 
 __all__ = ["StandbyThread"]
 
@@ -45,7 +45,7 @@ class StandbyThread:
         """The thread may block from now on."""
         with self._lock:
             if self._watch.ident is None:  # as late as possible: most are never blocked
-                self._watch.start()
+                started(self._watch)  # without it, this thread is not replaced while it is blocked
             if turn == self._turn:
                 self._since = time.monotonic()
 

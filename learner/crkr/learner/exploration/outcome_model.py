@@ -3,9 +3,8 @@
     z  (d,)  standardised state      g  (p,)  scaled goal      o  (m,)  outcome in tolerances from the target
 
 Each group of outcome entries has a Gaussian process on the trials nearest to [z, g], hits and misses. Refused goals are
-data too: one more process learns 0 for executed and -2 for refused goals, and its expectation r gives P(executed) =
-Phi((r + 0.5) / 0.3). Both are local, so that their cost does not grow with the number of trials, and global while all
-trials are among the nearest.
+data too, for one more process (see `refusals`). Both are local, so that their cost does not grow with the number of
+trials, and global while all trials are among the nearest.
 """
 
 from __future__ import annotations
@@ -17,13 +16,13 @@ from typing import Any, Final, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import log_ndtr
 
 from crkr.learner.exploration.local_gp import LocalGP, StepKernel
 from crkr.learner.exploration.outcome_index import ObservedTrials
 from crkr.learner.exploration.outcome_neighbours import Neighbours, nearest
 from crkr.learner.exploration.outcome_posterior import OutcomeLine
 from crkr.learner.exploration.outcome_scales import GOAL_SHARE, OutcomeScales
+from crkr.learner.exploration.refusals import Refusals, RefusedNear
 from crkr.learner.selection.anms_batch import Indices
 from crkr.protocol import MOST_NEIGHBOURS, Array, Exploration
 
@@ -38,11 +37,7 @@ _KERNELS: Final = {
     "quadratic": replace(_OUTCOME, bend=25_600.0, reach=20.0, linear=36.0),
 }
 _SHARE_OF_SIZE: Final = 0.0025  # share of a squared outcome that is noise: far misses say little about the target
-_REFUSAL: Final = StepKernel(constant=4.0, linear=1.0, bend=4.0, reach=2.0, noise=0.1)
-_REFUSED: Final = -2.0
-_THRESHOLD: Final = -0.5
-_WIDTH: Final = 0.3  # of the probit
-_SAFE: Final = -0.05  # r above which a goal is executed without a correction
+_NOTHING: Final = Refusals(np.zeros(0, dtype=np.int64), None)
 
 
 @final
@@ -98,8 +93,7 @@ class OutcomeModel:
         entries: (m,) outcome entries that are modelled.
         fits: One fit for each number of nearby trials, shared by the sets of entries observed in that many.
         places: Positions of the entries in the output of the fits.
-        risky: States with refused goals near by.
-        refusals: The model of refusals; None without any.
+        refusals: The model of refusals.
         farthest: (b,) squared distance of the farthest neighbour, least over the fits.
         one_sided: (m,) +1 or -1 for entries that may exceed or fall short of their target, else 0; None: all are 0.
     """
@@ -108,8 +102,7 @@ class OutcomeModel:
     entries: Indices
     fits: tuple[LocalGP, ...]
     places: tuple[Indices, ...]
-    risky: Indices
-    refusals: LocalGP | None
+    refusals: Refusals
     farthest: Array
     one_sided: Array | None
 
@@ -122,6 +115,7 @@ class OutcomeModel:
         z: Array,
         goals: Array,
         settings: Exploration,
+        later: list[RefusedNear] | None = None,
     ) -> OutcomeModel:
         """Fits every group to its `neighbours` trials nearest to the states z (b, d) and goals (b, p), scaled.
 
@@ -132,13 +126,13 @@ class OutcomeModel:
             z: (b, d) states in the metric.
             goals: (b, p) centres of the fits.
             settings: The number of neighbours, and the kind of model.
+            later: Refusals near the states are added here, rather than modelled; None: they are modelled.
         """
         x = np.concatenate([z, GOAL_SHARE * goals], axis=1)
         p, count = goals.shape[1], min(settings.neighbours, MOST_NEIGHBOURS)
         kernel = _KERNELS[settings.model]
         every: list[tuple[int, ...]] = []
-        fits, places = [], []
-        risky, refusals = np.zeros(0, dtype=np.int64), None
+        fits, places, refusals = [], [], _NOTHING
         parts = [trials] if trials.former is None else [trials, trials.former]
         any_refused = any(part.any_refused for part in parts)
         everywhere = {one for one in (*groups, trials.everything) if all(part.hidden[one] is None for part in parts)}
@@ -150,7 +144,11 @@ class OutcomeModel:
             farthest = np.minimum(farthest, least) if len(farthest) else least
             if any_refused and searched[0][0] in everywhere:
                 refused = _joined([part.refused[found.rows[0]] for part, found in near], 1)
-                risky, refusals = _refusals(D[0], refused, p, counted[1])
+                refused_near = RefusedNear(D[0], refused, p, counted[1])
+                if later is None:
+                    refusals = refused_near.model()
+                else:
+                    later.append(refused_near)
             first = int(searched[0] == (trials.everything,))  # the group of all trials is searched for refusals only
             sets = tuple(searched[first:])
             if not sets:
@@ -166,7 +164,7 @@ class OutcomeModel:
             every += sets
             places.append(own.places)
         entries, sided = _entries(scales, tuple(every))
-        return cls(goals, entries, tuple(fits), tuple(places), risky, refusals, farthest, sided)
+        return cls(goals, entries, tuple(fits), tuple(places), refusals, farthest, sided)
 
     def missed(self, goals: Array) -> Array:
         """(b, m) expected outcomes of goals (b, p), as `Prospect.o`."""
@@ -177,7 +175,7 @@ class OutcomeModel:
         """Predicts the outcomes of goals (b, c, p)."""
         steps = GOAL_SHARE * (goals - self.centre[:, None])
         raw, variance = self._expected(steps)
-        return Prospect(self._missed(raw), raw, variance, self._executed(steps))
+        return Prospect(self._missed(raw), raw, variance, self.refusals.executed(steps))
 
     def _expected(self, steps: Array) -> tuple[Array, Array]:
         """Expectations and variances (b, c, m) at steps (b, c, p)."""
@@ -202,14 +200,7 @@ class OutcomeModel:
 
     def executed(self, goals: Array) -> Array:
         """(b, c) log P(executed) of goals (b, c, p)."""
-        return self._executed(GOAL_SHARE * (goals - self.centre[:, None]))
-
-    def _executed(self, steps: Array) -> Array:
-        chances = np.zeros(steps.shape[:2])
-        if self.refusals is not None:
-            r = self.refusals.mean(steps[self.risky])[..., 0]
-            chances[self.risky] = log_ndtr((r - _THRESHOLD) / _WIDTH)
-        return chances
+        return self.refusals.executed(GOAL_SHARE * (goals - self.centre[:, None]))
 
     def line(self, goals: Array) -> OutcomeLine:
         """The entries as straight lines at goals (b, p), and one more entry: to be executed."""
@@ -222,13 +213,7 @@ class OutcomeModel:
         np.multiply(self._of_entries(slopes), GOAL_SHARE, out=all_J[:, :m])
         if self.one_sided is not None:
             all_J[:, :m][(self.one_sided != 0) & (all_o[:, :m] == 0)] = 0.0
-        if self.refusals is not None:
-            r, slopes_of = self.refusals.tangent(steps[self.risky])
-            unsafe = r[:, 0] < _SAFE
-            if unsafe.any():
-                rows = self.risky[unsafe]
-                all_o[rows, m] = r[unsafe, 0] / _WIDTH
-                all_J[rows, m] = slopes_of()[unsafe, 0] * (GOAL_SHARE / _WIDTH)
+        self.refusals.put_line(steps, all_o[:, m], all_J[:, m])
         return OutcomeLine(goals, all_o, all_J, R)
 
     def state_slope(self) -> Array:
@@ -239,12 +224,9 @@ class OutcomeModel:
         """The model near some of the states."""
         if len(which) == len(self.centre):
             return self
-        places = np.flatnonzero(np.isin(self.risky, which)) if self.refusals is not None else self.risky
-        risky = np.searchsorted(which, self.risky[places])
-        refusals = self.refusals.of(places) if self.refusals is not None and len(places) else None
         b = len(self.centre)
         fits = tuple(fit.of((np.arange(0, len(fit.D), b)[:, None] + which).ravel()) for fit in self.fits)
-        parts = fits, self.places, risky, refusals, self.farthest[which]
+        parts = fits, self.places, self.refusals.of(which), self.farthest[which]
         return OutcomeModel(self.centre[which], self.entries, *parts, self.one_sided)
 
     def _missed(self, o: Array) -> Array:
@@ -290,16 +272,6 @@ def _for_each(steps: Array, fit: LocalGP) -> Array:
     """Steps (b, ...), repeated for each set of entries of a fit."""
     sets = len(fit.D) // len(steps)
     return steps if sets == 1 else np.concatenate([steps] * sets)
-
-
-def _refusals(D: Array, refused: NDArray[np.bool_], p: int, former: int) -> tuple[Indices, LocalGP | None]:
-    """Points with a refused goal among their neighbours, and the model there."""
-    risky = np.flatnonzero(refused.any(axis=1))
-    if not len(risky):
-        return risky, None
-    if len(risky) < len(D):
-        D, refused = D[risky], refused[risky]
-    return risky, LocalGP.fit(_REFUSAL, D, np.where(refused, _REFUSED, 0.0)[..., None], p, former=former)
 
 
 def _counted(trials: ObservedTrials, group: int, count: int) -> tuple[int, int]:

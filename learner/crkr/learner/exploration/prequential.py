@@ -19,6 +19,7 @@ import numpy as np
 from crkr.learner.exploration.outcome_index import ObservedTrials
 from crkr.learner.exploration.outcome_model import OutcomeModel, Prospect
 from crkr.learner.exploration.outcome_scales import GOAL_SHARE, OutcomeScales
+from crkr.learner.exploration.refusals import RefusedNear
 from crkr.learner.exploration.success import SuccessCurve
 from crkr.protocol import Array, Exploration
 
@@ -72,7 +73,7 @@ class _Expected(NamedTuple):
     """One trial's record.
 
     Attributes:
-        features: (f,) of the success curve.
+        features: (f,) of the success curve; the last of them is computed when the curve is fitted.
         success: Whether the trial succeeded.
         off: (q,) standardised residuals of the outcome; NaN for entries not both predicted and observed.
     """
@@ -86,7 +87,9 @@ def features(seen: Prospect) -> Array:
     """(b, c, 4) features of the success curve."""
     spread = 1.0 + seen.variance
     missed, unsure = -0.5 * (seen.o**2 / spread).sum(axis=-1), -0.5 * np.log(spread).sum(axis=-1)
-    return np.stack([np.ones_like(missed), missed, unsure, seen.executed], axis=-1)
+    found = np.ones((*missed.shape, 4))
+    found[..., 1], found[..., 2], found[..., 3] = missed, unsure, seen.executed
+    return found
 
 
 @final
@@ -107,6 +110,7 @@ class PrequentialRecord:
     def __init__(self, settings: Exploration, scales: OutcomeScales, filling: int = 0, count: int = 0) -> None:
         self._settings, self._scales, self._filling, self._count = settings, scales, filling, count
         self._record: deque[_Expected] = deque(maxlen=_FITTED)
+        self._refused: list[tuple[Array, RefusedNear]] = []  # features whose last one is not computed yet
         self._residuals: deque[float] = deque(maxlen=_KEPT)  # known residuals only
         self._cusum = 0.0
         self.calibration = Calibration()
@@ -134,12 +138,15 @@ class PrequentialRecord:
         if groups:
             d = after.X.shape[1] - len(self._scales.scales)
             z, goal = after.X[-1:, :d], after.X[-1:, d:] / GOAL_SHARE
-            model = OutcomeModel.near(before, self._scales, groups, z, goal, own)
-            seen, observed = model.prospect(goal[:, None]), after.Y[-1, model.entries]
-            off = np.full(after.Y.shape[1], np.nan)
-            off[model.entries] = (observed - seen.raw[0, 0]) / np.sqrt(seen.variance[0, 0])
-            residual = np.nan if after.refused[-1] else _residual(seen, observed)
-            self._record.append(_Expected(features(seen)[0, 0], bool(after.success[-1]), off))
+            refused: list[RefusedNear] = []
+            model = OutcomeModel.near(before, self._scales, groups, z, goal, own, refused)
+            seen = model.prospect(goal[:, None]).first()
+            missed, variance = after.Y[-1, model.entries] - seen.raw[0], seen.variance[0]
+            off, known = np.full(after.Y.shape[1], np.nan), features(seen)[0]
+            off[model.entries] = missed / np.sqrt(variance)
+            residual = np.nan if after.refused[-1] else _residual(missed, variance)
+            self._record.append(_Expected(known, bool(after.success[-1]), off))
+            self._refused += [(known, near) for near in refused]
             if self._count > self._filling and not np.isnan(residual):
                 self._watch(residual)
         if self._record and self._count % _EVERY == 0:
@@ -147,6 +154,10 @@ class PrequentialRecord:
 
     def _fit(self) -> None:
         newest = self._record
+        chances = RefusedNear.executed([near for _, near in self._refused])
+        for (known, _), chance in zip(self._refused, chances, strict=True):
+            known[-1] = chance
+        self._refused.clear()
         seen, success = np.array([one.features for one in newest]), np.array([one.success for one in newest])
         curve = SuccessCurve.fit(seen, success, _PRIOR, _SPREAD)
         self.calibration = Calibration(curve, _spread(np.array([one.off for one in newest])))
@@ -226,10 +237,7 @@ def _spread(off: Array) -> Array:
     return spread
 
 
-def _residual(seen: Prospect, observed: Array) -> float:
-    known = ~np.isnan(observed)
-    if not known.any():
-        return float("nan")
-    off = observed[known] - seen.raw[0, 0, known]
-    squared = np.minimum(off * off / (seen.variance[0, 0, known] + _RESIDUAL_NOISE), _LARGEST)
-    return float(squared.mean())
+def _residual(missed: Array, variance: Array) -> float:
+    squared = np.minimum(missed * missed / (variance + _RESIDUAL_NOISE), _LARGEST)
+    known = squared[~np.isnan(missed)]
+    return float(known.mean()) if len(known) else float("nan")

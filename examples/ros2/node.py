@@ -10,6 +10,7 @@ import argparse
 import signal
 import sys
 import threading
+import time
 from pathlib import Path
 from typing import Any
 from uuid import UUID
@@ -37,6 +38,15 @@ def address(router: str) -> dict[str, Any]:
     """HOST:PORT of rmw_zenohd, as the SDK's classes take it."""
     host, _, port = router.rpartition(":")
     return {"router_ip": host, "router_port": int(port)}
+
+
+def await_service(client: Any, patience_s: float = 30.0) -> None:
+    """Wait until the session of a `ROS2ServiceClient` knows the service: a call before that gets no answer."""
+    until = time.monotonic() + patience_s
+    while not client.querier.matching_status.matching:
+        if time.monotonic() > until:
+            raise SystemExit(f"nobody serves {client.service_name}; is node.py running, with the same router?")
+        time.sleep(0.02)
 
 
 class Policy:

@@ -9,7 +9,7 @@ import argparse
 from contextlib import closing
 
 import numpy as np
-from node import address, definition  # type: ignore[import-not-found]  # beside this file
+from node import address, await_service, definition  # type: ignore[import-not-found]  # beside this file
 from zenoh_ros2_sdk import ROS2ServiceClient
 
 GRAVITY = 9.81  # [m/s^2]
@@ -33,6 +33,8 @@ def main() -> None:
         closing(ROS2ServiceClient(f"{name}/predict", **definition("Predict"), **there)) as predict,
         closing(ROS2ServiceClient(f"{name}/report", **definition("Report"), **there)) as report,
     ):
+        for service in (predict, report):
+            await_service(service)
         for _ in range(options.trials):
             state = rng.uniform(2.0, 8.0, 1)
             answer = predict.call(state=state, explore=True)

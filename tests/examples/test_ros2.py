@@ -17,11 +17,13 @@ ASK = """
 import sys
 import numpy as np
 sys.path.insert(0, sys.argv[1])
-from node import address, definition
+from node import address, await_service, definition
 from zenoh_ros2_sdk import ROS2ServiceClient
 there = address(sys.argv[2])
 predict = ROS2ServiceClient("/throw/predict", **definition("Predict"), **there)
 report = ROS2ServiceClient("/throw/report", **definition("Report"), **there)
+for service in (predict, report):
+    await_service(service)
 answer = predict.call(state=np.array([1.0, 2.0]), explore=True)
 print(answer.ok, answer.error)
 answer = predict.call(state=np.array([3.0]), explore=True)

@@ -18,7 +18,7 @@ import zenoh
 Ask = Callable[..., dict[str, Any]]
 
 PREFIX = "crkr/@v1/"
-PATIENCE_S = 10.0
+PATIENCE_S = 60.0
 
 REACH = {
     "name": "reach",

@@ -10,7 +10,7 @@ import numpy as np
 from crkr.client import AsyncTask, Outbox, Task
 from crkr.protocol import TaskSpec
 
-PATIENCE_S = 20.0
+PATIENCE_S = 60.0
 
 
 def specification(name: str = "") -> dict[str, Any]:

@@ -35,7 +35,7 @@ from crkr.server.workers import Workers
 
 Ask = Callable[..., dict[str, Any]]
 MIB = 2**20
-PATIENCE_S = 30.0
+PATIENCE_S = 60.0
 
 
 def resident_mib(pid: int) -> float:

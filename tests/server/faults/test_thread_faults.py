@@ -30,7 +30,7 @@ from crkr.server.stderr_log import StderrLog
 from crkr.server.thread_faults import FAULTS, ThreadFaults, keep_running, run_once
 
 ROOT = "crkr/@v1"
-PATIENCE_S = 20.0
+PATIENCE_S = 60.0
 
 
 class Panic(BaseException):

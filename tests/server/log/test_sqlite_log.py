@@ -1,17 +1,39 @@
 """The log keeps what it was given, once and in order, and notices when somebody else changed it."""
 
+import signal
 import sqlite3
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from uuid import UUID
 
 import pytest
 from logged_trials import SPEC, trial, trials_of
+from processes import wait_until
 
 from crkr.protocol import StorageError
 from crkr.server.learning.restore import restore, restore_all
 from crkr.server.log import LoggedTrial, PendingReport, SqliteLog, Stored, read_log
 from crkr.server.log.sqlite_database import SqliteDatabase
+
+
+def test_of_two_backups_to_one_file_one_is_made_and_the_other_refused(log: SqliteLog, tmp_path: Path) -> None:
+    log.append_reports([PendingReport("reach", tuple(trial(number) for number in range(1, 2000)))])
+    target = tmp_path / "copies" / "monday.sqlite3"
+    target.parent.mkdir()
+    command = [sys.executable, "-m", "crkr.client", "backup", str(log.path.parent), str(target)]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as late:
+        wait_until(lambda: list(target.parent.iterdir()))
+        late.send_signal(signal.SIGSTOP)
+        begun = not target.exists()
+        if begun:  # as if by the other
+            target.write_bytes(b"the other")
+        late.send_signal(signal.SIGCONT)
+        _, told = late.communicate(timeout=60)
+    assert (late.returncode, target.read_bytes() == b"the other") == (int(begun), begun)
+    assert ("exists; choose another file" in told) == begun
+    assert [path.name for path in target.parent.iterdir()] == ["monday.sqlite3"]
 
 
 @pytest.fixture

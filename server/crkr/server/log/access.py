@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 import sqlite3
 import tempfile
@@ -16,7 +15,7 @@ from crkr.protocol import Conflict, StorageError, UnknownTask
 from crkr.server.log.postgres.url import is_url, printable_location
 from crkr.server.log.reader import LogReader
 from crkr.server.log.schema import FILE_NAME, storage_errors
-from crkr.server.log.sqlite_database import SqliteDatabase
+from crkr.server.log.sqlite_database import SqliteDatabase, publish
 from crkr.server.log.sqlite_log import SqliteLog
 from crkr.server.log.task_log import TaskLog
 
@@ -100,8 +99,6 @@ def copy_to_file(source: LogReader, target: Path) -> None:
     try:
         with storage_errors(f"back up to {target}"):
             _write_file(source, target)
-    except FileExistsError as error:  # made meanwhile
-        raise StorageError(f"{target} exists; choose another file") from error
     except OSError as error:
         raise StorageError(f"cannot back up to {target}: {error.strerror}") from error
 
@@ -116,17 +113,7 @@ def _write_file(source: LogReader, target: Path) -> None:
             log.close()
         with closing(sqlite3.connect(log.path)) as copy:
             copy.execute("PRAGMA journal_mode = DELETE")  # makes it a single file
-        try:
-            os.link(log.path, target)
-        except FileExistsError:
-            raise
-        except OSError:  # a file system without links
-            os.rename(log.path, target)
-        parent = os.open(target.parent, os.O_RDONLY)
-        try:
-            os.fsync(parent)  # the name is on the disk too
-        finally:
-            os.close(parent)
+        publish(log.path, target)
     finally:
         shutil.rmtree(folder, ignore_errors=True)
 

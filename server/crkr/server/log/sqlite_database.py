@@ -16,7 +16,7 @@ from crkr.server.log.data_files import check_database_files
 from crkr.server.log.journal_check import refuse_foreign_wal
 from crkr.server.log.schema import check_version, connect, read_errors, storage_errors
 
-__all__ = ["SqliteDatabase"]
+__all__ = ["SqliteDatabase", "publish"]
 
 
 @final
@@ -90,7 +90,7 @@ class SqliteDatabase:
                     copy.execute("PRAGMA journal_mode = DELETE")  # makes it a single file
                 finally:
                     copy.close()
-            os.replace(partial, target)
+            publish(partial, target)
         finally:
             for name in (partial.name, f"{partial.name}-journal"):
                 partial.with_name(name).unlink(missing_ok=True)
@@ -111,3 +111,23 @@ class SqliteDatabase:
             connection = self._threads.connection = connect(self._path, read_only=True)
             self._open.append((threading.current_thread(), connection))
         return connection
+
+
+def publish(complete: Path, target: Path) -> None:
+    """Give a complete file its name, in the same folder, also on the disk.
+
+    Raises:
+        StorageError: Another file got that name meanwhile; it stays.
+    """
+    try:
+        os.link(complete, target)
+        complete.unlink()
+    except FileExistsError as error:
+        raise StorageError(f"{target} exists; choose another file") from error
+    except OSError:  # a file system without links
+        os.rename(complete, target)
+    folder = os.open(target.parent, os.O_RDONLY)
+    try:
+        os.fsync(folder)
+    finally:
+        os.close(folder)

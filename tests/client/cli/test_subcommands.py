@@ -1,5 +1,6 @@
 """The `crkr` command: one process start loads one subcommand, and nothing missing breaks the rest."""
 
+import signal
 import subprocess
 import sys
 from importlib.metadata import EntryPoint, version
@@ -126,6 +127,24 @@ def test_an_expected_failure_is_one_line_and_an_exit_status(error: BaseException
     assert result.exit_code == status
     assert line in result.stderr
     assert result.stderr.count("\n") == 1
+
+
+def test_an_interrupt_while_a_command_is_loaded_is_one_line_too() -> None:
+    program = """
+import os, signal, sys
+
+class Interrupting:
+    def find_spec(self, name, *_):
+        if name == "crkr.client.commands.status":
+            os.kill(os.getpid(), signal.SIGINT)
+
+sys.meta_path.insert(0, Interrupting())
+sys.argv = ["crkr", "status"]
+from crkr.client.cli.main import main
+main()
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (-signal.SIGINT, "", "interrupted\n")
 
 
 def test_what_a_child_process_needs_is_missed_before_it_starts() -> None:

@@ -46,6 +46,9 @@ def main() -> None:
 
 def _tell_defect(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
     """Prints a traceback with control characters escaped, since it may quote what others sent."""
+    if issubclass(kind, KeyboardInterrupt):  # while a command was being loaded
+        sys.stderr.write("interrupted\n")
+        return
     from crkr.protocol import printable
 
     sys.stderr.write(printable("".join(format_exception(kind, error, trace)), keep="\n"))

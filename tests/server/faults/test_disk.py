@@ -1,16 +1,20 @@
 """A disk that is full or can only be read: reports are refused, predictions go on, and nothing acknowledged is lost."""
 
+import os
 import resource
+import sqlite3
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pytest
 from processes import RunningServer
+
+from crkr.server.log import SqliteLog
 
 Ask = Callable[..., dict[str, Any]]
 MakeTrial = Callable[..., dict[str, Any]]
@@ -195,3 +199,43 @@ def test_a_disk_that_becomes_read_only_stops_reports_only(
         ask = connect(endpoint)
         assert samples(ask) == acknowledged
         assert ask("task/reach/rpc/report", {"trials": [make_trial(20)], "wait": True})["accepted"] == 1
+
+
+@pytest.mark.parametrize(("suffix", "left"), [("-wal", 0.0), ("-wal", 0.5), ("-wal", 0.97), ("-shm", 0.0)])
+def test_a_log_whose_file_is_cut_short_takes_nothing_more_and_is_not_made_worse(
+    server: RunningServer, connect: Connect, make_trial: MakeTrial, reach: dict[str, Any], suffix: str, left: float
+) -> None:
+    ask = connect(server.endpoint)
+    ask("rpc/create_task", reach)
+    for number in range(40):
+        ask("task/reach/rpc/report", {"trials": [make_trial(number)]})
+    file = server.data / f"crkr.sqlite3{suffix}"
+    kept = file.read_bytes()
+    os.truncate(file, int(left * len(kept)))
+    for _ in range(2):
+        error = ask("task/reach/rpc/report", {"trials": [make_trial(40)]})["error"]
+        assert (error["code"], f"{suffix} was cut short" in error["message"]) == ("STORAGE", True)
+    assert ask("task/reach/rpc/predict", {"states": [0.5, 0.0]})["active"] > 0
+    before = (server.data / "crkr.sqlite3").read_bytes()
+    end = server.process.kill if suffix == "-shm" else server.process.terminate
+    end()
+    server.process.wait(60)
+    assert (server.data / "crkr.sqlite3").read_bytes() == before
+    file.write_bytes(kept)
+    log = SqliteLog(server.data)
+    assert log.reads.last("reach") == 41
+    log.close()
+
+
+def test_a_checkpoint_or_a_vacuum_of_another_program_is_no_cut(
+    server: RunningServer, connect: Connect, make_trial: MakeTrial, reach: dict[str, Any]
+) -> None:
+    ask = connect(server.endpoint)
+    ask("rpc/create_task", reach)
+    for number, statement in enumerate(
+        ["PRAGMA wal_checkpoint(TRUNCATE)", "VACUUM", "PRAGMA wal_checkpoint(TRUNCATE)"]
+    ):
+        assert ask("task/reach/rpc/report", {"trials": [make_trial(number)]})["accepted"] == 1
+        with closing(sqlite3.connect(server.data / "crkr.sqlite3")) as other:
+            other.execute(statement)
+    assert ask("task/reach/rpc/report", {"trials": [make_trial(9)]})["accepted"] == 1

@@ -18,6 +18,8 @@ __all__ = [
     "LOCAL_DISK",
     "NO_LOCKS",
     "check_database_files",
+    "cut_short",
+    "file_sizes",
     "file_system_of",
     "identities",
     "identity",
@@ -99,6 +101,23 @@ def identity(path: Path | str) -> tuple[int, int] | None:
 def identities(path: Path) -> dict[str, tuple[int, int] | None]:
     """Device and inode of each file of a database in use."""
     return {name: identity(name) for name in (f"{path}{suffix}" for suffix in _IN_USE)}
+
+
+def file_sizes(path: Path, suffixes: tuple[str, ...] = _IN_USE) -> dict[str, int]:
+    """Bytes of each file of a database in use; of a missing one 0."""
+
+    def size(name: str) -> int:
+        try:
+            return os.stat(name).st_size
+        except OSError:
+            return 0
+
+    return {name: size(name) for name in (f"{path}{suffix}" for suffix in suffixes)}
+
+
+def cut_short(before: dict[str, int], now: dict[str, int]) -> list[str]:
+    """Files that have become shorter, which SQLite's own writing never makes them."""
+    return [name for name, size in now.items() if size < before.get(name, 0)]
 
 
 def _refuse_other_kinds(path: Path, mode: int) -> None:

@@ -6,17 +6,18 @@ import os
 import sqlite3
 import threading
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, closing, contextmanager
 from pathlib import Path
 from typing import Any, Final, final
 
 from crkr.protocol import StorageError
-from crkr.server.log.acknowledged_count import read_tally
+from crkr.server.log.acknowledged_count import TALLY_NAME, lost_end, read_tally
 from crkr.server.log.data_files import check_database_files
 from crkr.server.log.journal_check import refuse_foreign_wal
+from crkr.server.log.reader import LogReader
 from crkr.server.log.schema import check_version, connect, read_errors, storage_errors
 
-__all__ = ["SqliteDatabase", "publish"]
+__all__ = ["SqliteDatabase", "publish", "refuse_lost_end"]
 
 
 @final
@@ -131,3 +132,18 @@ def publish(complete: Path, target: Path) -> None:
         os.fsync(folder)
     finally:
         os.close(folder)
+
+
+def refuse_lost_end(path: Path) -> None:
+    """Raise `StorageError` if acknowledged entries are missing, before SQLite discards what it cannot read."""
+    if path.is_file() and path.stat().st_size:
+        with closing(LogReader(SqliteDatabase(path))) as reader:
+            lost = reader.lost_end()
+    else:
+        acknowledged = read_tally(path.parent)
+        lost = lost_end(str(path), 0, acknowledged) if acknowledged else ""
+    if lost:
+        raise StorageError(
+            f"{lost}; restore a backup into an empty directory, or delete {path.parent / TALLY_NAME} to go on with "
+            "what is there"
+        )

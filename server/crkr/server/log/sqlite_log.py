@@ -8,14 +8,23 @@ import sqlite3
 import threading
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, closing, contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from typing import Any, Final, final
 
 from crkr.protocol import Conflict, StorageError, TaskSpec
-from crkr.server.log.acknowledged_count import TALLY_NAME, Tally, lost_end, read_tally
-from crkr.server.log.data_files import LOCAL_DISK, check_database_files, file_system_of, identities, identity, is_remote
+from crkr.server.log.acknowledged_count import Tally
+from crkr.server.log.data_files import (
+    LOCAL_DISK,
+    check_database_files,
+    cut_short,
+    file_sizes,
+    file_system_of,
+    identities,
+    identity,
+    is_remote,
+)
 from crkr.server.log.directory_lock import DirectoryLock
 from crkr.server.log.entries import DELETED, Event, LoggedTrial, PendingReport, Stored
 from crkr.server.log.journal_check import refuse_foreign_journal
@@ -23,7 +32,7 @@ from crkr.server.log.new_rows import NewRows, changed_marks, event_row, new_name
 from crkr.server.log.reader import LogReader
 from crkr.server.log.rows import ROW_COLUMNS, TRIAL_COLUMNS, body_digest
 from crkr.server.log.schema import FILE_NAME, check_schema, connect, open_database, storage_errors
-from crkr.server.log.sqlite_database import SqliteDatabase
+from crkr.server.log.sqlite_database import SqliteDatabase, refuse_lost_end
 
 __all__ = ["SqliteLog"]
 
@@ -36,6 +45,7 @@ _ROW: Final = f"SELECT {ROW_COLUMNS} FROM trial WHERE task = ? AND id = ?"
 _TICK_NS: Final = 100_000_000  # longer than the clock tick of any file system
 _CLOSE_PATIENCE_S: Final = 0.5  # for a running commit
 _INSERT_EVENT: Final = "INSERT INTO event (task, seq, time, kind, body, digest) VALUES (?, ?, ?, ?, ?, ?)"
+_ABANDONED: Final[list[sqlite3.Connection]] = []  # never closed, nor collected
 _MARK: Final = "UPDATE trial SET present_cost = ?, removed = ?, digest = ? WHERE task = ? AND id = ?"
 
 
@@ -57,7 +67,7 @@ class SqliteLog:
             check_database_files(self.path, writing=True)
             if refuse_foreign_journal(self.path):
                 _play_back(self.path)
-            _refuse_what_lost_its_end(self.path)
+            refuse_lost_end(self.path)
             self._writer = open_database(self.path)
             undo.callback(self._writer.close)
             self._files = identities(self.path)
@@ -72,7 +82,9 @@ class SqliteLog:
             self._data_version = self._read_data_version()
             self._positions, self._added = sum(self._last.values()), 0
             self._tally = Tally(directory, self._positions)
+            self._sizes = file_sizes(self.path)
             undo.pop_all()
+        self._cut: list[str] = []  # files that another program has cut short
         self._writing = threading.Lock()
         self._closing = self._closed = False
 
@@ -141,6 +153,7 @@ class SqliteLog:
         if gone:
             with self._writing, storage_errors("shrink the task log"):
                 self._writer.execute("VACUUM")
+            self._sizes = {}  # the next commit may shrink the database
         return gone
 
     def adopt(self, task: str, events: Iterable[tuple[Any, ...]], trials: Iterable[tuple[Any, ...]]) -> int:
@@ -196,11 +209,11 @@ class SqliteLog:
         self._closed = True
         try:
             self.reads.close()
-            with storage_errors("close the task log"):
-                self._writer.execute(f"PRAGMA busy_timeout = {int(1e3 * _CLOSE_PATIENCE_S)}")  # with who still reads
-                self._writer.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+            if not self._cut:
+                with closing(self._writer) as writer, storage_errors("close the task log"):
+                    writer.execute(f"PRAGMA busy_timeout = {int(1e3 * _CLOSE_PATIENCE_S)}")  # with who still reads
+                    writer.execute("PRAGMA wal_checkpoint(TRUNCATE)")
         finally:
-            self._writer.close()
             self._tally.close()
             self._lock.release()
 
@@ -210,6 +223,7 @@ class SqliteLog:
             if self._closing:
                 raise StorageError(f"cannot {doing}: the task log is closed")
             self._refuse_moved_files(doing)
+            self._refuse_cut_files(doing)
             self._writer.execute("BEGIN IMMEDIATE")
             self._added = 0
             try:
@@ -218,6 +232,7 @@ class SqliteLog:
                 self._writer.execute("COMMIT")
                 self._positions += self._added
                 self._tally.note(self._positions)
+                self._sizes |= file_sizes(self.path, ("-wal",))
             except BaseException:
                 if self._writer.in_transaction:
                     self._writer.execute("ROLLBACK")
@@ -248,6 +263,34 @@ class SqliteLog:
             f"cannot {doing}: the task log {moved[0]} was moved, removed or replaced while the server runs; put it "
             "back, or restart the server"
         )
+
+    def _refuse_cut_files(self, doing: str) -> None:
+        """Raise `StorageError` if another program cut a file short, since the next commits would make that worse.
+
+        Another program's checkpoint or VACUUM makes files shorter too, and leaves the log whole.
+        """
+        sizes = file_sizes(self.path)
+        cut = cut_short(self._sizes, sizes)
+        if not self._cut and (not cut or self._is_whole(cut)):
+            self._sizes = sizes
+        elif not self._cut:
+            self._cut = cut
+            _ABANDONED.append(self._writer)  # its end would bring what is left of the write-ahead log into the database
+        if self._cut:
+            raise StorageError(
+                f"cannot {doing}: the task log {self._cut[0]} was cut short while the server runs; keep a copy of its "
+                "directory, restart the server, and where it is refused restore a backup"
+            )
+
+    def _is_whole(self, cut: Sequence[str]) -> bool:
+        """Whether a fresh look finds all entries."""
+        if f"{self.path}-shm" in cut:  # mapped: reading it would end the process
+            return False
+        try:
+            with closing(LogReader(SqliteDatabase(self.path))) as fresh:
+                return fresh.positions() == self._last and not (str(self.path) in cut and fresh.integrity())
+        except StorageError:
+            return False
 
     def _look_at_directory(self) -> tuple[int, int, int] | None:
         """The directory's device, inode and last change of a name [ns]; None if it is gone."""
@@ -291,24 +334,6 @@ def _play_back(path: Path) -> None:
             connection.execute("SELECT count(*) FROM sqlite_master").fetchone()
         finally:
             connection.close()
-
-
-def _refuse_what_lost_its_end(path: Path) -> None:
-    """Raise `StorageError` if acknowledged entries are missing, before SQLite discards what it cannot read."""
-    if path.is_file() and path.stat().st_size:
-        reader = LogReader(SqliteDatabase(path))
-        try:
-            lost = reader.lost_end()
-        finally:
-            reader.close()
-    else:
-        acknowledged = read_tally(path.parent)
-        lost = lost_end(str(path), 0, acknowledged) if acknowledged else ""
-    if lost:
-        raise StorageError(
-            f"{lost}; restore a backup into an empty directory, or delete {path.parent / TALLY_NAME} to go on with "
-            "what is there"
-        )
 
 
 def _insert_task(connection: sqlite3.Connection, name: str) -> int:

@@ -70,19 +70,24 @@ def _around_one(trials: ObservedTrials, x: Array, groups: Sequence[int], count: 
     with np.errstate(over="ignore"):
         factors[:r], factors[r] = -2.0 * x[0], 1.0
     old, theirs = trials.sealed.around(factors, r)
-    rows = np.concatenate([old, np.arange(len(trials) - len(trials.single), len(trials))])
+    first = len(trials) - len(trials.single)
     if trials.fits_single and squares.max() <= LARGEST_SINGLE:
         rough: Rough = np.concatenate([theirs @ factors, trials.single @ factors])
     else:
-        near = trials.X[rows]
+        near = trials.X[np.concatenate([old, np.arange(first, len(trials))])]
         rough = np.vecdot(near, near) - 2.0 * (near @ x[0])
-    found = []
-    for group in groups:
+    own = np.empty((len(groups), len(rough)), dtype=rough.dtype)
+    own[:] = rough
+    for place, group in enumerate(groups):
         hidden = trials.hidden[group]
-        own = rough if hidden is None else rough + hidden[rows]
-        bound = _bound(own[None, None], squares, r, count)[0, 0]
-        near = np.sort(rows[own <= bound])
-        found.append(_measured(trials, x, np.zeros_like(near), near, count))
+        if hidden is not None:
+            own[place, : len(old)] += hidden[old]
+            own[place, len(old) :] += hidden[first:]
+    found = []
+    for near in map(np.flatnonzero, own <= _bound(own[:, None], squares, r, count)[:, 0]):
+        sealed = int(near.searchsorted(len(old)))
+        rows = np.concatenate([np.sort(old[near[:sealed]]), near[sealed:] + (first - len(old))])
+        found.append(_measured(trials, x, np.zeros_like(rows), rows, count))
     return Neighbours(*(np.concatenate(parts)[:, None] for parts in zip(*found, strict=True)))
 
 

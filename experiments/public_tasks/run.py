@@ -106,7 +106,8 @@ class ReturnedBall:
     """A ball back over the net to a place. Held: the movement's duration, its delay, and each joint's first weight.
 
     The first basis has faded when the ball comes. A weight turns its joint by some 0.7 rad, and is bounded by the
-    joint's limits [rad]. A movement over the limits is refused.
+    joint's limits [rad]. A movement over the limits is refused. Outcomes jump where the racket just touches the ball,
+    which the watch for a changed robot may take for a change; it is off.
     """
 
     name, marks, drift = "fancy_ProDMP/TableTennis4D-v0", (300, 1000, 2000), False

@@ -229,8 +229,14 @@ def _learn(value: object, kind: str) -> bool | None:
 
 def _goal(value: object, spec: TaskSpec) -> Array:
     goal = finite_array(value, "goal", (len(spec.goal),))
+    numbers = goal.tolist()
+    for axis, given in zip(spec.goal, numbers, strict=True):
+        if not axis.low <= given <= axis.high:
+            break
+    else:  # the usual case
+        return goal
     rounded: dict[int, float] = {}
-    for place, (axis, given) in enumerate(zip(spec.goal, goal.tolist(), strict=True)):
+    for place, (axis, given) in enumerate(zip(spec.goal, numbers, strict=True)):
         if not axis.low <= given <= axis.high:
             bound = axis.low if given < axis.low else axis.high
             if abs(given - bound) > max(ROUNDING * axis.high - ROUNDING * axis.low, SINGLE_STEP * abs(bound)):
@@ -239,10 +245,9 @@ def _goal(value: object, spec: TaskSpec) -> Array:
                     details={"field": "goal", "name": axis.name},
                 )
             rounded[place] = bound
-    if rounded:
-        goal = goal.copy()
-        goal[list(rounded)] = list(rounded.values())
-        goal.setflags(write=False)
+    goal = goal.copy()
+    goal[list(rounded)] = list(rounded.values())
+    goal.setflags(write=False)
     return goal
 
 

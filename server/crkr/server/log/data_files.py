@@ -9,6 +9,7 @@ from __future__ import annotations
 import errno
 import os
 import stat
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Final
 
@@ -103,16 +104,15 @@ def identities(path: Path) -> dict[str, tuple[int, int] | None]:
     return {name: identity(name) for name in (f"{path}{suffix}" for suffix in _IN_USE)}
 
 
-def file_sizes(path: Path, suffixes: tuple[str, ...] = _IN_USE) -> dict[str, int]:
-    """Bytes of each file of a database in use; of a missing one 0."""
-
-    def size(name: str) -> int:
+def file_sizes(names: Iterable[str]) -> dict[str, int]:
+    """Bytes of each file; of a missing one 0."""
+    sizes = {}
+    for name in names:
         try:
-            return os.stat(name).st_size
+            sizes[name] = os.stat(name).st_size
         except OSError:
-            return 0
-
-    return {name: size(name) for name in (f"{path}{suffix}" for suffix in suffixes)}
+            sizes[name] = 0
+    return sizes
 
 
 def cut_short(before: dict[str, int], now: dict[str, int]) -> list[str]:

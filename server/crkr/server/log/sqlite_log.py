@@ -82,7 +82,7 @@ class SqliteLog:
             self._data_version = self._read_data_version()
             self._positions, self._added = sum(self._last.values()), 0
             self._tally = Tally(directory, self._positions)
-            self._sizes = file_sizes(self.path)
+            self._sizes, self._grows = file_sizes(self._files), (f"{self.path}-wal",)
             undo.pop_all()
         self._cut: list[str] = []  # files that another program has cut short
         self._writing = threading.Lock()
@@ -232,7 +232,7 @@ class SqliteLog:
                 self._writer.execute("COMMIT")
                 self._positions += self._added
                 self._tally.note(self._positions)
-                self._sizes |= file_sizes(self.path, ("-wal",))
+                self._sizes |= file_sizes(self._grows)
             except BaseException:
                 if self._writer.in_transaction:
                     self._writer.execute("ROLLBACK")
@@ -269,7 +269,7 @@ class SqliteLog:
 
         Another program's checkpoint or VACUUM makes files shorter too, and leaves the log whole.
         """
-        sizes = file_sizes(self.path)
+        sizes = file_sizes(self._files)
         cut = cut_short(self._sizes, sizes)
         if not self._cut and (not cut or self._is_whole(cut)):
             self._sizes = sizes

@@ -88,7 +88,7 @@ def advice_lines(status: Mapping[str, Any]) -> list[str]:
 
 
 def drift_score(status: Mapping[str, Any]) -> float | None:
-    """How far outcomes are from what was predicted: above 12 the robot has changed. None: not watched."""
+    """How far outcomes are from what was predicted: above 20 the robot has changed. None: not watched."""
     drift = status.get("drift")
     score = drift.get("score") if isinstance(drift, Mapping) else None
     return float(score) if isinstance(score, int | float) else None

@@ -26,11 +26,11 @@ def spec(make_spec: MakeSpec) -> TaskSpec:
     return make_spec(2, 3, outcome=outcome, exploration={"type": "outcome"}, seed=1)
 
 
-def train(learner: Learner, first: int, count: int, shift: float = 0.0) -> list[bool]:
-    """Whether each of these trials succeeded."""
+def train(learner: Learner, first: int, count: int, shift: float = 0.0, at: float | None = None) -> list[bool]:
+    """Whether each of these trials succeeded; with `at` all are in one state."""
     rng, won = np.random.default_rng(first), []
     for number in range(first, first + count):
-        state = rng.uniform(-0.5, 0.5, 2)
+        state = rng.uniform(-0.5, 0.5, 2) if at is None else np.full(2, at)
         answer = learner.predict(state, True, training_id("t", 0, 1, number))
         outcome = outcome_of(state, answer.goal, shift) + 0.005 * rng.normal(size=2)
         won.append(bool((np.abs(outcome) < TOLERANCE).all()))
@@ -79,6 +79,16 @@ def test_a_changed_robot_is_noticed_and_learned_anew(spec: TaskSpec) -> None:
     assert learner.drift.restarts == 1
     assert rate(learner, 0.6) > 0.95
     assert learner.active_ids  # what succeeded before is kept
+
+
+def test_a_robot_that_is_set_right_again_is_known_as_before(spec: TaskSpec) -> None:
+    learner = Learner(spec)
+    train(learner, 0, 200)
+    train(learner, 200, 60, shift=0.6, at=0.4)
+    train(learner, 260, 10, at=0.4)
+    assert learner.drift is not None
+    assert learner.drift.restarts == 2
+    assert rate(learner, 0.0) > 0.95  # in all states, of which the trials since the first change say nothing
 
 
 def test_a_changed_robot_is_the_same_learned_at_once_or_step_by_step(make_spec: MakeSpec, spec: TaskSpec) -> None:

@@ -134,7 +134,7 @@ def _learner() -> rrb.TimeSeriesView:
 
 
 def _drift() -> rrb.TimeSeriesView:
-    return _series("Drift: above 12 the robot has changed", "+ /drift/**")
+    return _series("Drift: above 20 the robot has changed", "+ /drift/**")
 
 
 def _latency() -> rrb.TimeSeriesView:

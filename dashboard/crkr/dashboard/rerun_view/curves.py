@@ -108,7 +108,7 @@ class Curves:
                 style = partial(rr.SeriesLines, colors=colour, names=name, widths=2.0)
                 self._append(("learner", name), progress.trials, progress.epoch, float(value), style)
         if (score := drift_score(status)) is not None:
-            style = partial(rr.SeriesLines, colors=LINES[4], names="drift: restart above 12", widths=2.0)
+            style = partial(rr.SeriesLines, colors=LINES[4], names="drift: restart above 20", widths=2.0)
             self._append(("drift", "score"), progress.trials, progress.epoch, score, style)
         served = latency_ms(status)
         for verb, colour in (("predict", LINES[4]), ("report", LINES[5])):

@@ -210,10 +210,16 @@ class OutcomeIndex:
         return position < len(self._rows) and bool(self._rows.rows[position] == row)
 
     def restart(self, kept: int) -> None:
-        """Marks all but the newest trials as those before a change; `rebuild` must follow."""
-        newest = self.usable(np.arange(len(self._store)))[-kept:]
-        if len(newest):
-            self._former_start, self._start = self._start, int(newest[0])
+        """Marks all but the newest trials as those before a change; `rebuild` must follow.
+
+        Where the last change is so recent that trials before it are still in use, they stay: two changes in a row, or
+        two false alarms, would otherwise leave too few.
+        """
+        present = self.usable(np.arange(len(self._store)))
+        if len(present) >= _REPLACED:
+            self._former_start = self._start
+        if len(present):
+            self._start = int(present[-kept:][0])
 
     def rebuild(self) -> None:
         """Starts again from the store."""

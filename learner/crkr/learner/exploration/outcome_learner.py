@@ -35,7 +35,7 @@ class Drift:
     Attributes:
         restarts: Number of restarts of the outcome model.
         last_seq: Log position of the last restart; None without one.
-        score: CUSUM of the squared standardised residuals; above 12 the model is restarted.
+        score: CUSUM of the squared standardised residuals; above 20 the model is restarted.
         due: Whether a restart is due.
     """
 

@@ -43,7 +43,7 @@ _NEWEST: Final = 20  # newest residuals, left out of the usual level
 _SETTLED: Final = 30  # residuals of the usual level before the watch begins
 _ALLOWANCE: Final = 1.5
 _LEAST_USUAL: Final = 0.5
-_ALARM: Final = 12.0
+_ALARM: Final = 20.0
 
 
 @final
@@ -123,7 +123,7 @@ class PrequentialRecord:
 
     @property
     def drift_score(self) -> float:
-        """The CUSUM; above 12 the robot counts as changed."""
+        """The CUSUM; above 20 the robot counts as changed."""
         return self._cusum
 
     @property

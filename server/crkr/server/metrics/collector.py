@@ -35,7 +35,7 @@ _OF_A_TASK: Final = {
     "crkr_task_archived": "1 if the task answers reads only.",
     "crkr_task_faulty": "1 if the task could not be restored, or learns no more until a restart; see the server's log.",
     "crkr_task_success_ratio": "Share of the newest 200 trials that succeeded; NaN without any.",
-    "crkr_task_drift_score": "How far outcomes are from what was predicted: above 12 the outcome model restarts.",
+    "crkr_task_drift_score": "How far outcomes are from what was predicted: above 20 the outcome model restarts.",
     "crkr_task_drift_restarts": "Restarts of the outcome model, as the robot had changed.",
     "crkr_task_damaged": "1 if a stored row is not what was stored; see the server's log.",
 }

@@ -1,6 +1,7 @@
 """Skills that do what they like with their process: a check ends within its limit and says so, and so does a run."""
 
 import os
+import signal
 import subprocess
 import sys
 from collections.abc import Callable
@@ -131,3 +132,33 @@ def test_a_worker_that_lets_no_thread_run_ends_with_its_supervisor(
     command.process.kill()
     command.process.wait()
     wait_until(lambda: not processes.running([worker]), command.log)
+
+
+def test_an_evaluation_ends_by_an_interrupt_or_with_its_process(
+    tmp_path: Path, start_command: Callable[..., Any], task: Task, shared_endpoint: str
+) -> None:
+    bad, at = tmp_path / "bad", tmp_path / "at"
+    skill = f"{tmp_path}/odd.py:make"
+    Path(tmp_path / "odd.py").write_text(
+        SKILL.format(
+            body=f"""if Path('{bad}').exists():
+            left()
+            Path('{at}').touch()
+            exec(Path('{bad}').read_text())"""
+        ).replace('"left"', f'"{tmp_path}/left"')
+    )
+    server = ("--connect", shared_endpoint)
+    words = ("--task", task.name, "--trials", "5", "--evaluations", "0", *server)
+    assert start_command("workers", skill, *words).finish()[0] == 0
+    bad.write_text("os._exit(3)")
+    status, _, log = start_command("evaluate", task.name, "--contexts", "4", *server).finish()
+    assert (status, "a process was lost; nothing was stored" in log) == (1, True)
+    assert_nothing_is_left(tmp_path)
+    at.unlink()
+    bad.write_text(LOCKS)
+    command = start_command("evaluate", task.name, "--contexts", "4", *server)
+    wait_until(at.exists, command.log)
+    command.process.send_signal(signal.SIGINT)
+    status, _, log = command.finish()
+    assert (status, log.splitlines()[-1]) == (130, "interrupted")
+    assert_nothing_is_left(tmp_path)

@@ -1,6 +1,7 @@
 """Files that a command is told to write."""
 
 import os
+import resource
 from pathlib import Path
 
 import pytest
@@ -69,3 +70,15 @@ def test_a_failed_run_leaves_the_folder_as_it_was(tmp_path: Path, there: bool) -
 
 def test_two_runs_at_once_write_to_files_of_their_own(tmp_path: Path) -> None:
     assert beside(tmp_path / "a.png") != beside(tmp_path / "a.png")
+
+
+def test_a_full_disk_is_told_with_the_files_name(tmp_path: Path) -> None:
+    path, limit = tmp_path / "run.csv", resource.getrlimit(resource.RLIMIT_FSIZE)
+    try:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (1000, limit[1]))
+        with pytest.raises(OSError, match=r"run\.csv") as caught, output_file(path) as partial:
+            partial.write_bytes(bytes(4000))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limit)
+    assert caught.value.filename == str(path)
+    assert list(tmp_path.iterdir()) == []

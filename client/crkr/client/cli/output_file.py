@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import errno
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Final
 from uuid import uuid4
 
 from crkr.protocol import Invalid
 
 __all__ = ["beside", "check_input", "check_output", "output_file"]
+
+_FULL: Final = (errno.ENOSPC, errno.EFBIG, errno.EDQUOT)
 
 
 def check_input(path: Path) -> None:
@@ -62,7 +66,7 @@ def output_file(path: Path, *, overwrite: bool = True) -> Iterator[Path]:
         check_output(path, overwrite=overwrite)
         partial.replace(_target(path))
     except OSError as error:
-        if error.filename == str(partial):
+        if error.filename == str(partial) or (error.filename is None and error.errno in _FULL):
             error.filename = str(path)
         raise
     finally:

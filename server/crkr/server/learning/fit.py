@@ -99,7 +99,7 @@ class Fitting:
         """Abort the current fit and end the process."""
         self._stopped.set()
         if self._process is not None:
-            self._process.terminate()
+            self._process.kill()  # it may be stopped
             self._process.join(0.5)
 
     def _problem(self, task: ServedTask) -> FitProblem:

@@ -83,7 +83,10 @@ def ctrl_c_blocked() -> Iterator[None]:
 
 @contextmanager
 def descendants_ended() -> Iterator[None]:
-    """Kills, on leaving, what processes started in this context started themselves and left behind; Linux only."""
+    """Kills, on leaving, what processes started in this context started themselves and left behind; Linux only.
+
+    Other threads start no processes meanwhile: they would be killed too.
+    """
     resource_tracker.ensure_running()
     own, spared = os.getpid(), _children(os.getpid())
     _prctl(_CHILD_SUBREAPER, 1)  # what they leave behind becomes a child of this process

@@ -56,7 +56,7 @@ def spread(
                 processes = set(active_children()) - others
                 while waiting:
                     done, waiting = wait(waiting, LOOKS_S, FIRST_COMPLETED)
-                    for future in done:
+                    for future in sorted(done, key=lambda each: each.exception() is not None):  # results first
                         yield future.result()
                     if any(process.exitcode is not None for process in processes):  # also if a child holds its pipes
                         raise BrokenProcessPool

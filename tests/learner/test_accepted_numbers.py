@@ -66,19 +66,21 @@ def trials(spec: TaskSpec, rng: np.random.Generator) -> list[Trial]:
     for number in range(24):
         state = [axis.low + float(rng.uniform()) * (axis.high - axis.low) for axis in spec.state]
         if number % 6 == 0:
-            state = [float(rng.choice([-1e300, 1e300, 0.0, 5e-324])) for _ in spec.state]
+            state = [float(rng.choice([-1.7e308, 1.7e308, 1e300, 0.0, 5e-324])) for _ in spec.state]
         goal = [
             min(max(axis.low + share * (axis.high - axis.low), axis.low), axis.high)
             for axis, share in zip(spec.goal, rng.choice([0.0, 0.3, 1.0], len(spec.goal)).tolist(), strict=True)
         ]
-        measured = [float(rng.choice([-1e300, 1e300, math.nan, entry.target])) for entry in spec.outcome]
+        measured = [
+            float(rng.choice([-1.7e308, 1e300, 1.7e308, 5e-324, math.nan, entry.target])) for entry in spec.outcome
+        ]
         made.append(
             Trial.create(
                 spec,
                 id=UUID(int=number + 1),
                 state=state if number % 5 else made[0].state if made else state,
                 goal=goal,
-                cost=float(rng.choice([0.0, 1e-300, 0.4, 1.0])),
+                cost=float(rng.choice([0.0, 5e-324, 1e-300, 0.4, 1.0])),
                 success=bool(rng.uniform() < 0.8),
                 kind="demonstration" if number % 8 == 0 else "trial",
                 outcome=measured or None,

@@ -75,7 +75,8 @@ class FitProblem:
             raise NoSamples(f"task {own.task!r} has no active sample to fit to")
         X = model.states - own.kernel.centre
         away = np.abs(X)
-        near = np.flatnonzero((away <= _FARTHEST * np.maximum(reference, np.median(away, axis=0))).all(axis=1))
+        with np.errstate(over="ignore"):  # a limit beyond all numbers leaves no state out
+            near = np.flatnonzero((away <= _FARTHEST * np.maximum(reference, np.median(away, axis=0))).all(axis=1))
         if len(near) > _MOST:
             near = near[np.linspace(0, len(near) - 1, _MOST).astype(np.int64)]
         return cls(

@@ -19,6 +19,7 @@ STATES = np.random.default_rng(9).uniform(-0.6, 0.6, (40, D))
 
 HOSTILE: dict[str, Callable[[np.random.Generator], Array]] = {
     "huge": lambda rng: rng.choice([-1e300, 1e300], (80, 2)),
+    "at the ends of floats": lambda rng: rng.choice([-1.7e308, 1.7e308, 5e-324, -1e-310, 0.0], (80, 2)),
     "huge and small": lambda rng: 10.0 ** rng.uniform(-300, 300, (80, 2)),
     "one entry never seen": lambda rng: np.stack([rng.normal(size=80), np.full(80, np.nan)], axis=1),
     "never seen": lambda _: np.full((80, 2), np.nan),
@@ -54,7 +55,7 @@ def test_no_outcome_makes_a_goal_that_is_not_a_number_within_the_bounds(
         success=True,
         outcome=HOSTILE[outcomes](rng),
     )
-    states = np.concatenate([STATES, 1e8 * STATES, 1e300 * STATES, np.zeros((1, D))])
+    states = np.concatenate([STATES, 1e8 * STATES, 1e300 * STATES, 1e308 * STATES, 5e-324 * STATES, np.zeros((1, D))])
     ids = [UUID(int=number) for number in range(len(states))]
     for explore in (False, True):
         chosen = learner.predict(states, explore, ids).goals

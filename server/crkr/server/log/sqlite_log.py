@@ -43,6 +43,7 @@ _INSERT_WHOLE: Final = f"INSERT INTO trial (task, {ROW_COLUMNS}) VALUES ({', '.j
 _FIND: Final = "SELECT seq, digest FROM trial WHERE task = ? AND id = ?"
 _ROW: Final = f"SELECT {ROW_COLUMNS} FROM trial WHERE task = ? AND id = ?"
 _TICK_NS: Final = 100_000_000  # longer than the clock tick of any file system
+_LOOK_NS: Final = 100_000_000  # between two looks at the database's size, which no commit changes by itself
 _CLOSE_PATIENCE_S: Final = 0.5  # for a running commit
 _INSERT_EVENT: Final = "INSERT INTO event (task, seq, time, kind, body, digest) VALUES (?, ?, ?, ?, ?, ?)"
 _ABANDONED: Final[list[sqlite3.Connection]] = []  # never closed, nor collected
@@ -70,23 +71,21 @@ class SqliteLog:
             refuse_lost_end(self.path)
             self._writer = open_database(self.path)
             undo.callback(self._writer.close)
-            self._files = identities(self.path)
-            self._where = str(directory)
+            self._files, self._where = identities(self.path), str(directory)
             self._directory: tuple[int, int, int] | None = None  # as of the last check of all names
-            self._seen: tuple[tuple[int, int, int] | None, int] = None, 0  # a directory, and since when it is so [ns]
+            self._seen: tuple[tuple[int, int, int] | None, int] = None, 0  # a directory, since when it is so [ns]
             self.reads = LogReader(SqliteDatabase(self.path))
             undo.callback(self.reads.close)
             self._last = self.reads.positions()
             with storage_errors(f"list the tasks of {self.path}"):
                 self._keys: dict[str, int] = dict(self._writer.execute("SELECT name, id FROM task"))
-            self._data_version = self._read_data_version()
-            self._positions, self._added = sum(self._last.values()), 0
+            self._positions, self._added, self._data_version = sum(self._last.values()), 0, self._read_data_version()
             self._tally = Tally(directory, self._positions)
-            self._sizes, self._grows = file_sizes(self._files), (f"{self.path}-wal",)
+            self._written = [name for name in self._files if name != str(self.path)]  # by every commit
+            self._sizes, self._look_at_all = file_sizes(self._files), 0
             undo.pop_all()
         self._cut: list[str] = []  # files that another program has cut short
-        self._writing = threading.Lock()
-        self._closing = self._closed = False
+        self._writing, self._closing, self._closed = threading.Lock(), False, False
 
     @property
     def where(self) -> str:
@@ -232,7 +231,6 @@ class SqliteLog:
                 self._writer.execute("COMMIT")
                 self._positions += self._added
                 self._tally.note(self._positions)
-                self._sizes |= file_sizes(self._grows)
             except BaseException:
                 if self._writer.in_transaction:
                     self._writer.execute("ROLLBACK")
@@ -269,10 +267,12 @@ class SqliteLog:
 
         Another program's checkpoint or VACUUM makes files shorter too, and leaves the log whole.
         """
-        sizes = file_sizes(self._files)
+        all_of_them = (now := time.monotonic_ns()) >= self._look_at_all
+        sizes = file_sizes(self._files if all_of_them else self._written)
         cut = cut_short(self._sizes, sizes)
         if not self._cut and (not cut or self._is_whole(cut)):
-            self._sizes = sizes
+            self._sizes |= sizes
+            self._look_at_all = now + _LOOK_NS if all_of_them else self._look_at_all
         elif not self._cut:
             self._cut = cut
             _ABANDONED.append(self._writer)  # its end would bring what is left of the write-ahead log into the database

@@ -81,10 +81,16 @@ def rogue() -> Iterator[Rogue]:
 
 
 @pytest.fixture
-def loop(rogue: Rogue) -> Iterator[TrialLoop]:
+def client(rogue: Rogue) -> Iterator[Client]:
+    with Client(rogue.endpoint) as client:
+        yield client
+
+
+@pytest.fixture
+def loop(client: Client) -> Iterator[TrialLoop]:
     skill = load_skill("reaching:make", SkillOptions(name="reaching"))
     ours, theirs = Pipe()
-    with ours, theirs, Client(rogue.endpoint) as client:
+    with ours, theirs:
         task = client.task("reaching")
         yield TrialLoop(task, skill, Identity("one", 7, 1), SupervisorLink(MessagePipe(ours), 5.0), Telemetry(task, ()))
 
@@ -92,9 +98,9 @@ def loop(rogue: Rogue) -> Iterator[TrialLoop]:
 BAD = [[np.nan, 0.0], [0.0, np.inf], [0.0, 1.5000001]]
 
 
-def test_a_goal_that_no_robot_may_try_is_no_trial_but_telemetry(rogue: Rogue, loop: TrialLoop) -> None:
+def test_a_goal_that_no_robot_may_try_is_no_trial_but_telemetry(rogue: Rogue, client: Client, loop: TrialLoop) -> None:
     rogue.goals = [*BAD, [0.25, 0.5]]
-    with Client(rogue.endpoint) as watcher, watcher.task("reaching").subscribe(["trial"]) as published:
+    with client.task("reaching").subscribe(["trial"]) as published:  # of its own session: known before the first trial
         trial = loop.run_one()
         seen = [published.receive(10.0) for _ in range(4)]
     assert trial.goal.tolist() == [0.25, 0.5]

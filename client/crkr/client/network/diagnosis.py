@@ -207,7 +207,7 @@ def _ask(session: zenoh.Session, key: str) -> zenoh.handlers.Handler[zenoh.Reply
 def _is_answered(session: zenoh.Session, key: str) -> bool | None:
     replies = _ask(session, key)
     try:
-        reply = Trust().pick(session, replies)
+        reply = Trust().pick(session, replies, {})
     except (zenoh.ZError, NotTheServer):
         return False
     late = reply.err is not None and reply.err.payload.to_bytes() == b"Timeout"  # Zenoh's own

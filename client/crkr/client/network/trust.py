@@ -40,28 +40,23 @@ class Trust:
         self._server: zenoh.ZenohId | None = None
         self._is_router = False
         self._sharing: frozenset[str] = frozenset()  # Zenoh ids of the servers that share its tasks
-        self._ask_at = 0.0  # [s, monotonic]
-        self._unsure = False  # whether the router did not say just now which servers share its tasks
+        self._told_at = self._asked_at = -_ASK_AGAIN_S  # when the router said who shares, and was asked [s, monotonic]
         self._warned = False
 
-    def pick(self, session: zenoh.Session, replies: zenoh.handlers.Handler[zenoh.Reply]) -> zenoh.Reply:
+    def pick(
+        self, session: zenoh.Session, replies: zenoh.handlers.Handler[zenoh.Reply], others: dict[str, zenoh.Reply]
+    ) -> zenoh.Reply:
         """Returns the server's reply, or Zenoh's own error, among the replies to one question.
+
+        Args:
+            session: The client's.
+            replies: To the question.
+            others: Filled with the replies of other sessions, by session.
 
         Raises:
             zenoh.ZError: The question ended without an answer.
             NotTheServer: It ended with answers of other clients only.
         """
-        others: dict[str, zenoh.Reply] = {}  # by session
-        self._unsure = False
-        try:
-            return self._picked(session, replies, others)
-        finally:
-            if not self._unsure:
-                self._tell_of_strangers(others)
-
-    def _picked(
-        self, session: zenoh.Session, replies: zenoh.handlers.Handler[zenoh.Reply], others: dict[str, zenoh.Reply]
-    ) -> zenoh.Reply:
         while True:
             try:
                 reply = replies.recv()
@@ -101,13 +96,36 @@ class Trust:
 
         It is asked once the question has ended: Zenoh receives nothing more while a channel of replies is full.
         """
-        now = time.monotonic()
         if not self._is_router or not others:
             return None
-        self._unsure = True
-        if now < self._ask_at:
-            return None
-        self._ask_at = now + _ASK_AGAIN_S
+        self._knows_who_shares(session)
+        return next((reply for reply in others.values() if self.is_server(session, reply)), None)
+
+    def tell_of_strangers(self, session: zenoh.Session, others: Mapping[str, zenoh.Reply]) -> None:
+        """Warns once of answers by a session that is no server. Call it when the question's replies are dropped."""
+        if self._warned or not self._strangers(others):
+            return
+        with suppress(zenoh.ZError):  # the session was closed
+            if self._is_router and not self._knows_who_shares(session):
+                return
+            stranger = next(iter(self._strangers(others)), None)
+            if stranger is not None:
+                self._warned = True
+                _logger.warning(
+                    "ignored an answer that is not the server's, but another client's: Zenoh id %s", stranger
+                )
+
+    def _strangers(self, others: Mapping[str, zenoh.Reply]) -> list[str]:
+        return [zid for zid in others if zid not in self._sharing and zid != str(self._server)]
+
+    def _knows_who_shares(self, session: zenoh.Session) -> bool:
+        """Whether the router said just now which servers share its tasks; asks it at most every quarter of a second."""
+        now = time.monotonic()
+        if now - self._told_at < _ASK_AGAIN_S:
+            return True
+        if now - self._asked_at < _ASK_AGAIN_S:
+            return False
+        self._asked_at = now
         routers = set(session.info.routers_zid())
         replies = session.get(
             rpc_key("info"),
@@ -123,9 +141,10 @@ class Trust:
                 with suppress(Invalid):
                     told = unpack(reply.ok.payload.to_bytes()).get("servers", ())
                     self._sharing = frozenset(one for one in told if isinstance(one, str))
-                    self._unsure = False
+                    self._told_at = time.monotonic()
+                    return True
                 break
-        return next((reply for reply in others.values() if self.is_server(session, reply)), None)
+        return False
 
     def _adopt(self, reply: zenoh.Reply) -> zenoh.Reply:
         """Takes another session, behind a router, for the server."""
@@ -133,13 +152,6 @@ class Trust:
             _logger.warning("another server answers, Zenoh id %s: the one before is gone", _zid(reply))
         self._server = None if reply.replier_id is None else reply.replier_id.zid
         return reply
-
-    def _tell_of_strangers(self, others: Mapping[str, zenoh.Reply]) -> None:
-        """Warns once of answers by a session that did not turn out to be a server."""
-        stranger = next((zid for zid in others if zid not in self._sharing and zid != str(self._server)), None)
-        if stranger is not None and not self._warned:
-            self._warned = True
-            _logger.warning("ignored an answer that is not the server's, but another client's: Zenoh id %s", stranger)
 
 
 def _is_timeout(reply: zenoh.Reply) -> bool:

@@ -122,7 +122,13 @@ class ZenohTransport(Closing):
                     timeout=timeout_s,
                     attachment=told,
                 )
-                reply = self._trust.pick(session, replies)
+                others: dict[str, zenoh.Reply] = {}
+                try:
+                    reply = self._trust.pick(session, replies, others)
+                finally:
+                    del replies  # or Zenoh would wait for their reader
+                    if others:
+                        self._trust.tell_of_strangers(session, others)
         except NotConnected as error:
             raise _Unanswered(str(error)) from error
         except NotTheServer as error:

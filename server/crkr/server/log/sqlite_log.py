@@ -43,7 +43,6 @@ _INSERT_WHOLE: Final = f"INSERT INTO trial (task, {ROW_COLUMNS}) VALUES ({', '.j
 _FIND: Final = "SELECT seq, digest FROM trial WHERE task = ? AND id = ?"
 _ROW: Final = f"SELECT {ROW_COLUMNS} FROM trial WHERE task = ? AND id = ?"
 _TICK_NS: Final = 100_000_000  # longer than the clock tick of any file system
-_LOOK_NS: Final = 100_000_000  # between two looks at the database's size, which no commit changes by itself
 _CLOSE_PATIENCE_S: Final = 0.5  # for a running commit
 _INSERT_EVENT: Final = "INSERT INTO event (task, seq, time, kind, body, digest) VALUES (?, ?, ?, ?, ?, ?)"
 _ABANDONED: Final[list[sqlite3.Connection]] = []  # never closed, nor collected
@@ -81,8 +80,9 @@ class SqliteLog:
                 self._keys: dict[str, int] = dict(self._writer.execute("SELECT name, id FROM task"))
             self._positions, self._added, self._data_version = sum(self._last.values()), 0, self._read_data_version()
             self._tally = Tally(directory, self._positions)
-            self._written = [name for name in self._files if name != str(self.path)]  # by every commit
-            self._sizes, self._look_at_all = file_sizes(self._files), 0
+            self._wal = os.open(f"{self.path}-wal", os.O_RDONLY)  # SQLite locks the others; closing them would unlock
+            undo.callback(os.close, self._wal)
+            self._unwritten, self._sizes = (str(self.path), f"{self.path}-shm"), file_sizes(self._files)
             undo.pop_all()
         self._cut: list[str] = []  # files that another program has cut short
         self._writing, self._closing, self._closed = threading.Lock(), False, False
@@ -213,6 +213,7 @@ class SqliteLog:
                     writer.execute(f"PRAGMA busy_timeout = {int(1e3 * _CLOSE_PATIENCE_S)}")  # with who still reads
                     writer.execute("PRAGMA wal_checkpoint(TRUNCATE)")
         finally:
+            os.close(self._wal)
             self._tally.close()
             self._lock.release()
 
@@ -267,13 +268,12 @@ class SqliteLog:
 
         Another program's checkpoint or VACUUM makes files shorter too, and leaves the log whole.
         """
-        all_of_them = (now := time.monotonic_ns()) >= self._look_at_all
-        sizes = file_sizes(self._files if all_of_them else self._written)
+        sizes = file_sizes(self._unwritten)
+        # After a stat, a file's next write takes a new time of change, which takes a fifth of a commit.
+        sizes[f"{self.path}-wal"] = os.lseek(self._wal, 0, os.SEEK_END)
         cut = cut_short(self._sizes, sizes)
-        if not self._cut and (not cut or self._is_whole(cut)):
-            self._sizes |= sizes
-            self._look_at_all = now + _LOOK_NS if all_of_them else self._look_at_all
-        elif not self._cut:
+        self._sizes = sizes
+        if not self._cut and cut and not self._is_whole(cut):
             self._cut = cut
             _ABANDONED.append(self._writer)  # its end would bring what is left of the write-ahead log into the database
         if self._cut:

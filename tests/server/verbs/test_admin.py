@@ -117,7 +117,8 @@ def test_fits_come_by_themselves_where_the_settings_ask_for_them(
     processes.wait_until(
         lambda: numbers(ask("task/reach/rpc/status")["hyperparameters"]["lengthscales"]).tolist() != [0.2, 0.4]
     )
-    assert ask("task/reach/rpc/status")["seq"] == COUNT + 1 + 1 + 5 + 1
+    fits = ask("task/reach/rpc/status")["seq"] - (COUNT + 1 + 1 + 5)
+    assert fits in (1, 2)  # one is due by the settings, one by the trials unless they come while the first runs
 
 
 def test_an_archived_task_answers_reads_only(ask: Ask, trials: list[dict[str, Any]], make_trial: MakeTrial) -> None:

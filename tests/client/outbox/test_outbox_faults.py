@@ -7,9 +7,11 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from hashlib import blake2b
 from pathlib import Path
-from typing import Any
+from types import FrameType
+from typing import Any, TypeAlias
 from uuid import UUID, uuid4
 
 import msgpack
@@ -25,6 +27,7 @@ from crkr.protocol import Conflict, Invalid, Unavailable, UnknownTask, unpack
 
 PATIENCE_S = 30.0
 Start = Callable[..., Any]
+Trace: TypeAlias = Callable[[FrameType, str, Any], Any]
 
 
 @pytest.fixture
@@ -231,6 +234,7 @@ def test_an_interrupted_report_leaves_the_count_exact(start_server: Start, free_
     server.process.wait()
     interrupted = 0
     with Client(server.endpoint) as client, client.task("lob").outbox(tmp_path / "box") as outbox:
+        put(outbox, 1)  # NumPy imports at the first one, and swallows what is raised there
         previous = signal.signal(signal.SIGALRM, signal.default_int_handler)
         try:
             for part in range(60):
@@ -245,6 +249,58 @@ def test_an_interrupted_report_leaves_the_count_exact(start_server: Start, free_
             signal.signal(signal.SIGALRM, previous)
         assert interrupted == 60
         counted = outbox.pending
+    file = OutboxFile.existing(tmp_path / "box")
+    assert file.pending() == counted
+    file.close()
+
+
+@contextmanager
+def interrupted_at(place: int) -> Iterator[None]:
+    """Raises KeyboardInterrupt at one of the calls and returns inside the outbox, by their order."""
+    left = place
+
+    def trace(frame: FrameType, event: str, _: object) -> Trace | None:
+        nonlocal left
+        if Path(frame.f_code.co_filename).name not in {"outbox.py", "outbox_file.py", "contextlib.py"}:
+            return None
+        if event in {"call", "return"}:
+            left -= 1
+            if left < 0:
+                raise KeyboardInterrupt
+        return trace
+
+    previous = sys.gettrace()
+    sys.settrace(trace)
+    try:
+        yield
+    finally:
+        sys.settrace(previous)
+
+
+def test_an_interrupt_anywhere_in_a_report_leaves_the_outbox_usable(
+    start_server: Start, free_port: int, tmp_path: Path
+) -> None:
+    server = start_server(port=free_port)
+    with Client(server.endpoint) as client:
+        client.create_task(task_spec("lob")).outbox(tmp_path / "box").close()
+    server.process.terminate()
+    server.process.wait()
+    interrupts = []
+    with Client(server.endpoint) as client, client.task("lob").outbox(tmp_path / "box") as outbox:
+        put(outbox, 1)
+        for place in range(1000):
+            try:
+                with interrupted_at(place):
+                    outbox.report(state=[0.5, 0.5], goal=[0.0, 0.0], cost=0.5, success=True)
+                break
+            except KeyboardInterrupt as interrupt:
+                interrupts.append(interrupt)  # with the frames that it left, and what those hold
+            finally:
+                before = outbox.pending
+                put(outbox, 1)
+                assert outbox.pending == before + 1
+        counted = outbox.pending
+    assert len(interrupts) > 20
     file = OutboxFile.existing(tmp_path / "box")
     assert file.pending() == counted
     file.close()

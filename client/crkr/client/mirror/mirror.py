@@ -97,7 +97,7 @@ class Mirror(Closing):
         self._inside: dict[int, None] = {}  # threads that are predicting
         self.fault: CrkrError | None = None
         self.defects = 0
-        self._refreshing = threading.Lock()
+        self._refreshing = threading.RLock()  # if an interrupt leaves it held, its thread can still take it
         # Before the first copy, or a change between the two would be noticed late.
         self._notices = task.subscribe(("model",), capacity=1, timeout_s=timeout_s)
         try:

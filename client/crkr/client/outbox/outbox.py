@@ -87,7 +87,8 @@ class Outbox(Closing):
         except BaseException:
             self._file.close()
             raise
-        self._changed = threading.Condition()
+        self._lock = threading.RLock()  # taken by itself: an interrupt could leave a condition's lock held
+        self._changed = threading.Condition(self._lock)
         self._closing = threading.Event()
         self.fault: CrkrError | None = None
         self.defects = 0
@@ -124,7 +125,7 @@ class Outbox(Closing):
         """
         check_not_forked()
         trials = make_trials(self.spec, answer, **trial)
-        with self._changed:
+        with self._lock:
             if self._closing.is_set():
                 raise Unavailable(f"the outbox {self.path} is closed")
             try:
@@ -158,7 +159,7 @@ class Outbox(Closing):
         """Ends delivery and closes the file, which keeps the rest for the next time; a second call does nothing."""
         if is_forked():
             return
-        with self._changed:
+        with self._lock:
             self._closing.set()
             self._changed.notify_all()
         if threading.current_thread() is not self._thread:
@@ -217,9 +218,9 @@ class Outbox(Closing):
             if self._streak % _STREAK == 0:
                 self._most = min(2 * self._most, _TOGETHER)
         elif not rows:
-            with self._changed:
+            with self._lock:
                 self._pending = self._file.pending()
-        with self._changed:
+        with self._lock:
             self.fault = None
             self._changed.notify_all()
 
@@ -240,12 +241,12 @@ class Outbox(Closing):
             self._put_aside(rows[0][0], f"{error.code}: {error.message}")
             return
         self._check_task()  # a server with other data may have answered
-        with self._changed:
+        with self._lock:
             self._file.delivered([number for number, _ in rows])
             self._pending -= len(rows)
 
     def _put_aside(self, number: int, error: str) -> None:
-        with self._changed:
+        with self._lock:
             self._file.refuse(number, error)
             self._pending -= 1
         _logger.warning("trial %d of the outbox %s was put aside: %s", number, self.path, error)

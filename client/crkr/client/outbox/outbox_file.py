@@ -78,6 +78,7 @@ class OutboxFile:
         check_not_forked()
         self._path, self._task = path.absolute(), task  # a program may change its directory later
         self._lock = threading.Lock()
+        self._transaction = object()  # the latest
         self._closed = False
         self._spec: TaskSpec | None = None
         self._holder = FileLock(self._path)
@@ -129,7 +130,7 @@ class OutboxFile:
 
     def describe(self, spec: TaskSpec) -> TaskSpec:
         """Stores the specification and returns it."""
-        with self._writing("written") as database:
+        with self._alone(), self._writing() as database:
             database.execute("DELETE FROM about")
             database.execute("INSERT INTO about VALUES (?, ?)", (self._task, pack(spec.to_dict())))
         self._spec = spec
@@ -143,26 +144,26 @@ class OutboxFile:
             StorageError: They cannot be written; none is stored.
         """
         bodies = [packed_trial(trial, self._spec) for trial in trials]
-        with self._writing("written") as database:
+        with self._alone(), self._writing() as database:
             database.executemany(
                 "INSERT INTO trial (body, digest) VALUES (?, ?)", [(body, digest_of(body)) for body in bodies]
             )
 
     def pending(self) -> int:
         """Number of trials still to be sent."""
-        with self._reading() as database:
+        with self._alone(), self._reading() as database:
             return int(database.execute("SELECT count(*) FROM trial WHERE error IS NULL").fetchone()[0])
 
     def next(self, most: int) -> list[tuple[int, dict[str, Any] | None]]:
         """The first trials to send: number, and trial as a message map (None if it cannot be read)."""
         query = "SELECT number, body, digest FROM trial WHERE error IS NULL ORDER BY number LIMIT ?"
-        with self._reading() as database:
+        with self._alone(), self._reading() as database:
             rows = database.execute(query, (most,)).fetchall()
         return [(number, sendable_trial(body, digest)) for number, body, digest in rows]
 
     def why_unreadable(self, number: int) -> str:
         """What is wrong with a row that `next` gave as None."""
-        with self._reading() as database:
+        with self._alone(), self._reading() as database:
             row = database.execute("SELECT body, digest FROM trial WHERE number = ?", (number,)).fetchone()
         if row is None or not is_intact(row[0], row[1]):
             return f"trial {number} is damaged in {self._path}: it does not match its digest"
@@ -174,25 +175,25 @@ class OutboxFile:
 
     def delivered(self, numbers: Sequence[int]) -> None:
         """Deletes trials that the server has."""
-        with self._writing("written") as database:
+        with self._alone(), self._writing() as database:
             database.executemany("DELETE FROM trial WHERE number = ?", [(number,) for number in numbers])
 
     def refuse(self, number: int, error: str) -> None:
         """Puts a trial aside."""
-        with self._writing("written") as database:
+        with self._alone(), self._writing() as database:
             database.execute("UPDATE trial SET error = ? WHERE number = ?", (error, number))
 
     def refused(self) -> list[Refused]:
         """The trials that were put aside."""
         query = "SELECT number, body, digest, error FROM trial WHERE error IS NOT NULL ORDER BY number"
-        with self._reading() as database:
+        with self._alone(), self._reading() as database:
             rows = database.execute(query).fetchall()
         found = [(number, salvaged_trial(body, digest), str(error)) for number, body, digest, error in rows]
         return [Refused(number, trial_id(one), error, one) for number, one, error in found]
 
     def discard(self, numbers: Sequence[int]) -> None:
         """Deletes trials that were put aside, and no others."""
-        with self._writing("written") as database:
+        with self._alone(), self._writing() as database:
             query = "DELETE FROM trial WHERE number = ? AND error IS NOT NULL"
             database.executemany(query, [(number,) for number in numbers])
 
@@ -233,17 +234,21 @@ class OutboxFile:
         execute("COMMIT")
         execute("PRAGMA journal_mode = WAL")  # changes the file, so only after it is known to be ours
 
+    def _alone(self) -> threading.Lock:
+        """The lock, for a `with` of the method itself: in a generator an interrupt would leave it held."""
+        check_not_forked()  # before the lock, which a parent's thread may have held at the fork
+        return self._lock
+
     @contextmanager
     def _reading(self) -> Iterator[sqlite3.Connection]:
-        check_not_forked()  # before the lock, which a parent's thread may have held at the fork
-        with self._lock, self._errors("read"):
+        with self._errors("read"):
             self._check_open()
+            self._roll_back(self._transaction)
             yield self._database
 
     @contextmanager
-    def _writing(self, what: str) -> Iterator[sqlite3.Connection]:
-        check_not_forked()
-        with self._lock, self._errors(what):
+    def _writing(self) -> Iterator[sqlite3.Connection]:
+        with self._errors("written"):
             self._check_open()
             self._holder.check()
             if file_at(self._path) != self._file:  # SQLite would write to a file without a name
@@ -251,16 +256,20 @@ class OutboxFile:
                     f"the outbox {self._path} was moved, removed or replaced while it was open; put it back, "
                     "or close this outbox and open another"
                 )
-            if self._database.in_transaction:  # left by an interrupt
-                self._database.execute("ROLLBACK")
+            self._roll_back(self._transaction)
+            self._transaction = mine = object()
             try:
                 self._database.execute("BEGIN IMMEDIATE")
                 yield self._database
                 self._database.execute("COMMIT")
             except BaseException:
-                if self._database.in_transaction:
-                    self._database.execute("ROLLBACK")
+                self._roll_back(mine)
                 raise
+
+    def _roll_back(self, transaction: object) -> None:
+        """Ends a transaction if it is the latest: an interrupted generator may be closed after the next one began."""
+        if transaction is self._transaction and self._database.in_transaction:
+            self._database.execute("ROLLBACK")
 
     def _check_open(self) -> None:
         if self._closed:

@@ -6,11 +6,13 @@ import subprocess
 import sys
 import urllib.request
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from urllib.parse import parse_qs, urlsplit
 
 import pytest
 
+from crkr.dashboard.rerun_view import Recording
 from crkr.dashboard.viewer import Viewer, choose_port, page_address, require_display, stream_address
 from crkr.protocol import Invalid, Unavailable
 
@@ -105,18 +107,37 @@ def taken() -> Iterator[int]:
         yield port
 
 
-def test_a_free_port_is_taken_as_it_is(free_port: int) -> None:
-    assert choose_port(HOST, free_port, 1) == free_port
-    assert choose_port(HOST, None, free_port) == free_port
+@pytest.fixture
+def claims() -> Iterator[ExitStack]:
+    with ExitStack() as stack:
+        yield stack
 
 
-def test_the_next_free_port_stands_in_for_a_taken_default(taken: int) -> None:
-    chosen = choose_port(HOST, None, taken)
+def test_a_free_port_is_taken_as_it_is(free_port: int, claims: ExitStack) -> None:
+    assert choose_port(HOST, free_port, 1, claims) == free_port
+    assert choose_port(HOST, None, free_port, claims) == free_port
+
+
+def test_the_next_free_port_stands_in_for_a_taken_default(taken: int, claims: ExitStack) -> None:
+    chosen = choose_port(HOST, None, taken, claims)
     assert chosen > taken
     with socket.create_server((HOST, chosen)):
         pass
 
 
-def test_a_taken_port_that_was_asked_for_is_refused(taken: int) -> None:
+def test_who_chooses_before_the_other_listens_gets_another_port(free_port: int, claims: ExitStack) -> None:
+    with ExitStack() as others:
+        chosen = {choose_port(HOST, None, free_port, stack) for stack in (claims, others, claims)}
+        assert len(chosen) == 3
+    with ExitStack() as later:
+        assert choose_port(HOST, None, free_port, later) in chosen
+
+
+def test_a_taken_port_that_was_asked_for_is_refused(taken: int, claims: ExitStack) -> None:
     with pytest.raises(Invalid, match=f"port {taken} on {HOST} is taken"):
-        choose_port(HOST, taken, 1)
+        choose_port(HOST, taken, 1, claims)
+
+
+def test_a_recording_whose_port_was_taken_meanwhile_says_so(taken: int) -> None:
+    with pytest.raises(Unavailable, match=f"cannot be served at {HOST}:{taken}"):
+        Recording((HOST, taken), None)

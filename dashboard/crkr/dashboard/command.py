@@ -99,7 +99,7 @@ def watch(
         elif session.replayed and target is not None and not (web or native):
             complete = _in_file(session, target)
         else:
-            complete = _in_rerun(session, _Addresses.choose(bind, port, web_port), native, target)
+            complete = _in_rerun(session, _Addresses.choose(bind, port, web_port, stack), native, target)
     if not complete:
         where = "" if target is None else f"; the part that was written is in {target.growing}"
         _note(f"error: the recording could not be completed in time; its end may be missing{where}")
@@ -229,19 +229,19 @@ class _Addresses:
     page: int
 
     @classmethod
-    def choose(cls, bind: str, port: int | None, web_port: int | None) -> _Addresses:
-        """Find free ports; raises `Invalid` for a given port that is taken, `typer.BadParameter` for a bad address."""
+    def choose(cls, bind: str, port: int | None, web_port: int | None, claims: ExitStack) -> _Addresses:
+        """Find ports; raises `Invalid` as `choose_port`, and `typer.BadParameter` for a bad address."""
         try:
             unspecified = ip_address(bind).is_unspecified
         except ValueError as error:
             raise typer.BadParameter(f"--bind needs an IP address; got {bind!r}") from error
-        stream = _port(bind, port, STREAM_PORT, "the recording")
-        page = _port(bind, web_port, WEB_PORT, "the page")
+        stream = _port(bind, port, STREAM_PORT, "the recording", claims)
+        page = _port(bind, web_port, WEB_PORT, "the page", claims)
         return cls(bind, LOOPBACK if unspecified else bind, stream, page)
 
 
-def _port(bind: str, given: int | None, default: int, purpose: str) -> int:
-    port = choose_port(bind, given, default)
+def _port(bind: str, given: int | None, default: int, purpose: str, claims: ExitStack) -> int:
+    port = choose_port(bind, given, default, claims)
     if port != (given or default):
         _note(f"port {default} is taken; {purpose} is at {port}")
     return port

@@ -105,7 +105,7 @@ def main(endpoint: str, task: str, save: Path | None = None, memory_limit: str =
 def _drawing(stack: ExitStack, task: str, save: Path, memory_limit: str) -> View:
     from crkr.dashboard.rerun_view import Recording, RerunDisplay
 
-    recording = Recording((LOOPBACK, choose_port(LOOPBACK, None, STREAM_PORT)), save, memory_limit)
+    recording = Recording((LOOPBACK, choose_port(LOOPBACK, None, STREAM_PORT, stack)), save, memory_limit)
     stack.callback(recording.close, CLOSE_S)
     return RerunDisplay(recording, task)
 

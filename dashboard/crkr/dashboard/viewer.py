@@ -14,6 +14,7 @@ import tempfile
 import time
 import urllib.error
 import urllib.request
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Final, final
 from urllib.parse import quote
@@ -48,13 +49,14 @@ def page_address(host: str, web_port: int, port: int) -> str:
     return f"http://{host}:{web_port}/?url={stream}&theme=dark&hide_welcome_screen=1&persist=0"
 
 
-def choose_port(host: str, given: int | None, default: int) -> int:
-    """A port that can be listened on.
+def choose_port(host: str, given: int | None, default: int, claims: ExitStack) -> int:
+    """A port that can be listened on, and that no other process of crkr chooses meanwhile.
 
     Args:
         host: Address to listen on.
         given: The port that was asked for, or None.
         default: The first port to try where none was asked for.
+        claims: Ends the claim to the port.
 
     Raises:
         Invalid: The given port is taken, or a hundred in a row are.
@@ -64,9 +66,19 @@ def choose_port(host: str, given: int | None, default: int) -> int:
             raise Invalid(f"port {given} on {host} is taken; choose another, or none and a free one is found")
         return given
     for port in range(default, default + TRIED):
-        if _is_free(host, port):
+        if _is_claimed(host, port, claims) and _is_free(host, port):
             return port
     raise Invalid(f"no free port from {default} to {default + TRIED - 1} on {host}")
+
+
+def _is_claimed(host: str, port: int, claims: ExitStack) -> bool:
+    """Claim a TCP port, of which Rerun makes use a while later, by holding the UDP port of that number."""
+    claim = claims.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+    try:
+        claim.bind((host, port))
+    except OSError:
+        return False
+    return True
 
 
 def _is_free(host: str, port: int) -> bool:

@@ -12,12 +12,15 @@ from typing import Any, Final, final
 import rerun as rr
 import rerun.blueprint as rrb
 
+from crkr.protocol import Unavailable
+
 __all__ = ["APPLICATION", "NameLimit", "Recording"]
 
 _logger = logging.getLogger(__name__)
 APPLICATION: Final = "crkr"  # a viewer stores a user's layout under it
 FLUSH_EVERY_S: Final = 0.2
 LAYOUT_S: Final = 5.0
+LISTENS_S: Final = 10.0
 
 
 @final
@@ -31,6 +34,9 @@ class Recording:
         address: (host, port) to serve viewers on, or None.
         save: File to write, or None.
         memory_limit: Data kept for later viewers, e.g. "512MiB"; the oldest is dropped first.
+
+    Raises:
+        Unavailable: Another program took the port meanwhile.
     """
 
     def __init__(self, address: tuple[str, int] | None, save: Path | None, memory_limit: str = "512MiB") -> None:
@@ -43,6 +49,12 @@ class Recording:
         self._stream = rr.RecordingStream(APPLICATION, batcher_config=batching)
         if sinks:
             self._stream.set_sinks(*sinks)
+        if address is not None:
+            try:
+                self._stream.flush(timeout_sec=LISTENS_S)  # fails where Rerun could not listen
+            except RuntimeError as error:
+                where = "{}:{}".format(*address)
+                raise Unavailable(f"the recording cannot be served at {where} ({error}); is the port taken?") from error
 
     def fixed(self, path: Sequence[str], *content: Any) -> None:
         """Log static data."""

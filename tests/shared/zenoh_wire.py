@@ -1,12 +1,15 @@
-"""A Zenoh connection whose batches can be changed on their way to the server: what no binding would send."""
+"""Zenoh connections that are cut, carry one way only, or are changed on the way to what no binding would send."""
 
 import socket
 import struct
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from typing import Any, final
 
 Change = Callable[[bytes], bytes | None]
+_KEEP_ALIVE_BYTES = 1  # of the batch that says only that its sender is alive
+_HANDSHAKE = 2  # batches that a router sends before a connection is open
 
 
 def _batches(source: socket.socket) -> Iterator[bytes]:
@@ -64,3 +67,72 @@ def changed_on_the_way(server_port: int, change: Change) -> Iterator[str]:
         finally:
             listener.shutdown(socket.SHUT_RDWR)
             accepting.join()
+
+
+@final
+class Cable:
+    """TCP from a port of its own to another; while it is cut, all stays where it is and nobody is told."""
+
+    def __init__(self, port: int) -> None:
+        self._port = port
+        self._whole = threading.Event()
+        self._whole.set()
+        self._ends: list[socket.socket] = []
+        self._threads: list[threading.Thread] = []
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self.endpoint = f"tcp/127.0.0.1:{self._listener.getsockname()[1]}"
+        self._silenced = 0
+        self._run(self._accept)
+
+    @contextmanager
+    def cut(self) -> Iterator[None]:
+        self._whole.clear()
+        yield
+        self._whole.set()
+
+    def break_off(self, *, silencing: int = 0) -> None:
+        """Ends each connection; of the next that come, `silencing` bring nothing back but signs of life."""
+        self._silenced = silencing
+        self._end(self._ends)
+
+    def close(self) -> None:
+        self._whole.set()
+        self._end([self._listener, *self._ends])
+        for thread in self._threads:
+            thread.join(10)
+
+    @staticmethod
+    def _end(sockets: list[socket.socket]) -> None:
+        for end in sockets:
+            with suppress(OSError):
+                end.shutdown(socket.SHUT_RDWR)
+            end.close()
+
+    def _run(self, work: Callable[..., None], *arguments: Any) -> None:
+        self._threads.append(threading.Thread(target=work, args=arguments))
+        self._threads[-1].start()
+
+    def _accept(self) -> None:
+        with suppress(OSError):
+            while True:
+                near, _ = self._listener.accept()
+                far = socket.create_connection(("127.0.0.1", self._port))
+                self._ends += [near, far]
+                self._run(self._carry, near, far)
+                self._run(self._carry if self._silenced == 0 else self._silence, far, near)
+                self._silenced = max(0, self._silenced - 1)
+
+    def _carry(self, source: socket.socket, sink: socket.socket) -> None:
+        with suppress(OSError):
+            while data := source.recv(65536):
+                self._whole.wait()
+                sink.sendall(data)
+        with suppress(OSError):
+            self._whole.wait()
+            sink.shutdown(socket.SHUT_WR)
+
+    def _silence(self, source: socket.socket, sink: socket.socket) -> None:
+        with suppress(OSError):
+            for count, batch in enumerate(_batches(source)):
+                if count < _HANDSHAKE or len(batch) <= _KEEP_ALIVE_BYTES:
+                    sink.sendall(struct.pack("<H", len(batch)) + batch)

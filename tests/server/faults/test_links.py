@@ -4,15 +4,14 @@ import json
 import socket
 import subprocess
 import sys
-import threading
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, closing, contextmanager, suppress
+from contextlib import ExitStack, closing
 from pathlib import Path
-from typing import Any, final
+from typing import Any
 
 import pytest
 from network_namespaces import ip, two_machines
 from processes import RunningServer
+from zenoh_wire import Cable
 
 OUTAGE_S = 4.0  # longer than a lease, so that the partition is noticed
 
@@ -30,58 +29,6 @@ with Client(endpoint, timeout_s=60) as client:
         print(number, flush=True)
     print(json.dumps([sample.trial.id.int for sample in task.iter_samples()]), flush=True)
 """
-
-
-@final
-class Cable:
-    """TCP from a port of its own to another; while it is cut, all stays where it is and nobody is told."""
-
-    def __init__(self, port: int) -> None:
-        self._port = port
-        self._whole = threading.Event()
-        self._whole.set()
-        self._ends: list[socket.socket] = []
-        self._threads: list[threading.Thread] = []
-        self._listener = socket.create_server(("127.0.0.1", 0))
-        self.endpoint = f"tcp/127.0.0.1:{self._listener.getsockname()[1]}"
-        self._run(self._accept)
-
-    @contextmanager
-    def cut(self) -> Iterator[None]:
-        self._whole.clear()
-        yield
-        self._whole.set()
-
-    def close(self) -> None:
-        self._whole.set()
-        for end in (self._listener, *self._ends):
-            with suppress(OSError):
-                end.shutdown(socket.SHUT_RDWR)
-            end.close()
-        for thread in self._threads:
-            thread.join(10)
-
-    def _run(self, work: Callable[..., None], *arguments: Any) -> None:
-        self._threads.append(threading.Thread(target=work, args=arguments))
-        self._threads[-1].start()
-
-    def _accept(self) -> None:
-        with suppress(OSError):
-            while True:
-                near, _ = self._listener.accept()
-                far = socket.create_connection(("127.0.0.1", self._port))
-                self._ends += [near, far]
-                self._run(self._carry, near, far)
-                self._run(self._carry, far, near)
-
-    def _carry(self, source: socket.socket, sink: socket.socket) -> None:
-        with suppress(OSError):
-            while data := source.recv(65536):
-                self._whole.wait()
-                sink.sendall(data)
-        with suppress(OSError):
-            self._whole.wait()
-            sink.shutdown(socket.SHUT_WR)
 
 
 def test_over_a_link_that_is_silent_for_a_while_everything_arrives_once(

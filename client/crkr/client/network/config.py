@@ -20,6 +20,7 @@ __all__ = ["DEFAULT_ENDPOINT", "Connection"]
 DEFAULT_ENDPOINT: Final = EXAMPLE
 _VARIABLE: Final = "CRKR_CONNECT"
 _LEASE_MS: Final = 2000  # a broken link is noticed after this; Zenoh's default is 10 s
+_HANDSHAKE_MS: Final = 1000
 _ZENOH_LEASE_MS: Final = 10_000
 # Discovery would find other people's servers; shared memory leaks segments when processes are killed.
 _FIXED: Final[dict[str, Any]] = {
@@ -88,7 +89,7 @@ class Connection:
             "connect/endpoints": self.endpoints[turn:] + self.endpoints[:turn],
             "connect/timeout_ms": patience_ms,
             "connect/retry": {"period_init_ms": 50, "period_max_ms": 500, "period_increase_factor": 2},
-            "transport/unicast/open_timeout": patience_ms,
+            "transport/unicast/open_timeout": _HANDSHAKE_MS,  # also of each reconnection later, whatever is left now
         }
         if json.loads(config.get_json("transport/link/tx/lease")) == _ZENOH_LEASE_MS:
             settings["transport/link/tx/lease"] = _LEASE_MS

@@ -34,6 +34,7 @@ __all__ = [
     "access_rights",
     "fault_in",
     "impostors",
+    "is_deaf",
     "obstacle",
     "silence_of",
 ]
@@ -146,6 +147,12 @@ def silence_of(session: zenoh.Session, patience_s: float) -> str:
             return ANYBODY if reply.ok is not None else "connected, but no reply in time"
         return NO_SERVER
     return ANYBODY
+
+
+def is_deaf(session: zenoh.Session, patience_s: float) -> bool:
+    """Whether the router that Zenoh is connected to does not answer in that time, not even that no server shows."""
+    replies = session.liveliness().get(live_server_key("*"), zenoh.handlers.FifoChannel(4), timeout=patience_s)
+    return any(reply.ok is None for reply in replies) and bool(session.info.routers_zid())
 
 
 def _first_words(host: str, port: int, deadline: float) -> str | None:

@@ -23,7 +23,7 @@ from crkr.client.network.session import NotConnected, Session
 from crkr.protocol import Conflict, CrkrError, Internal, Invalid, Unavailable, live_worker_key
 from crkr.protocol.keys import claim_worker_key, left_worker_key
 
-__all__ = ["Presence", "end_token", "standing_tokens", "take_token", "withdraw_token"]
+__all__ = ["Presence", "end_token", "move_token", "standing_tokens", "take_token", "withdraw_token"]
 
 _WORKER: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._:-]{0,126}")
 _PAUSE_S: Final = 0.1
@@ -33,13 +33,13 @@ _PAUSE_S: Final = 0.1
 class Presence(Closing):
     """Holds the token from `announce` to `close`, or until the client is closed.
 
-    Zenoh declares it again after a reconnect.
+    It is declared again after a reconnect.
     """
 
-    def __init__(self, worker_id: str, token: zenoh.LivelinessToken, session: zenoh.Session, left_key: str) -> None:
+    def __init__(self, task: str, worker_id: str, token: zenoh.LivelinessToken, session: zenoh.Session) -> None:
         self.worker_id: Final = worker_id
         self._tokens = [token]
-        self._session, self._left_key = session, left_key
+        self._session, self._task = session, task
         hold(self, token)
 
     @classmethod
@@ -68,7 +68,8 @@ class Presence(Closing):
                 if time.monotonic() > deadline:
                     raise token
                 owner.pause(_PAUSE_S * random.uniform(0.2, 1.0))
-            presence = cls(worker_id, token, connected, left_worker_key(task, worker_id))
+            presence = cls(task, worker_id, token, connected)
+            owner.keep(presence, connected)
         except zenoh.ZError as error:
             raise Internal(f"the token of worker {worker_id!r} could not be declared: {brief(error)}") from error
         owner.close_before(presence)
@@ -78,8 +79,13 @@ class Presence(Closing):
         """Announces that the worker leaves and withdraws its token; a second call does nothing."""
         end_token(self, self._tokens, self._leave, "the token could not be withdrawn")
 
+    def move(self, session: zenoh.Session) -> None:
+        """As `Declared.move`."""
+        self._session = session
+        move_token(self, self._tokens, session, live_worker_key(self._task, self.worker_id))
+
     def _leave(self, token: zenoh.LivelinessToken) -> None:
-        left = self._session.liveliness().declare_token(self._left_key)
+        left = self._session.liveliness().declare_token(left_worker_key(self._task, self.worker_id))
         withdraw_token(token)
         withdraw_token(left)
 
@@ -127,6 +133,17 @@ def standing_tokens(session: zenoh.Session, key: str) -> set[str]:
     if any(reply.ok is None for reply in replies) or not session.info.routers_zid():
         raise NotConnected("the router did not say who is there")
     return {str(reply.ok.key_expr) for reply in replies if reply.ok is not None}
+
+
+def move_token(owner: object, tokens: list[zenoh.LivelinessToken], session: zenoh.Session, key: str) -> None:
+    """Declares in another session the token that `owner` holds, unless it was withdrawn."""
+    token = session.liveliness().declare_token(key)
+    try:
+        tokens[0] = token
+    except IndexError:
+        withdraw_token(token)
+    else:
+        hold(owner, token)
 
 
 def withdraw_token(token: zenoh.LivelinessToken) -> None:

@@ -13,7 +13,7 @@ import zenoh
 
 from crkr.client.lifetimes import Closing, hold
 from crkr.client.network.config import brief
-from crkr.client.network.presence import end_token, standing_tokens, take_token, withdraw_token
+from crkr.client.network.presence import end_token, move_token, standing_tokens, take_token, withdraw_token
 from crkr.client.network.session import NotConnected, Session
 from crkr.protocol import Internal, Unavailable, check_name
 from crkr.protocol.keys import claim_role_key, live_role_key
@@ -58,7 +58,9 @@ class Role(Closing):
             raise Unavailable(f"{error} at {owner.connection.endpoint}; is the server running?") from error
         except zenoh.ZError as error:
             raise Internal(f"the role {role!r} could not be taken: {brief(error)}") from error
-        return cls(token, key, connected, taken)
+        role_held = cls(token, key, connected, taken)
+        owner.keep(role_held, connected)
+        return role_held
 
     def is_mine(self) -> bool:
         """Asks whether this process is to keep the role: False where another holder is, or after `close`."""
@@ -68,6 +70,11 @@ class Role(Closing):
             return min(standing_tokens(self._session, self._taken), default=self._key) >= self._key
         except (NotConnected, zenoh.ZError):
             return True  # unknown: keep it
+
+    def move(self, session: zenoh.Session) -> None:
+        """As `Declared.move`."""
+        self._session = session
+        move_token(self, self._tokens, session, self._key)
 
     def close(self) -> None:
         """Gives the role up; a second call does nothing."""

@@ -1,4 +1,10 @@
-"""One Zenoh session: opened when first needed, closed once, and never used across a fork."""
+"""One Zenoh session: opened when first needed, closed once, and never used across a fork.
+
+Zenoh connects again by itself after a link was lost. If the time for that is over at the moment when it succeeds, Zenoh
+sends on the new connection and never reads from it: every question times out, while the router sees a client that is
+alive. So the router is asked after each reconnection, and where it does not answer, another session takes the place of
+this one.
+"""
 
 from __future__ import annotations
 
@@ -13,17 +19,19 @@ import zenoh
 
 from crkr.client.lifetimes import check_not_forked, hold, is_forked, release
 from crkr.client.network.config import Connection, brief
-from crkr.client.network.diagnosis import Obstacle, obstacle
+from crkr.client.network.diagnosis import Obstacle, is_deaf, obstacle
 from crkr.protocol import CrkrError, Unavailable
 from crkr.protocol.zenoh_files import refusing_panics
 
-__all__ = ["CallsInProgress", "Closable", "NotConnected", "Session"]
+__all__ = ["CallsInProgress", "Closable", "Declared", "NotConnected", "Session"]
 
 _logger = logging.getLogger(__name__)
 _OPEN_S: Final = 1.0
 _LEAVE_S: Final = 1.0
 _LOOK_S: Final = 0.5
 _LOOK_AGAIN_S: Final = 3.0
+_SETTLES_S: Final = 0.2  # until a new connection is in use
+_ANSWERS_S: Final = 2.0  # the router itself, not the server
 
 
 class NotConnected(Exception):
@@ -35,6 +43,13 @@ class Closable(Protocol):
 
     def close(self) -> None:
         """Closes it; a second call does nothing."""
+
+
+class Declared(Protocol):
+    """Something declared in the session, as a token or a subscription."""
+
+    def move(self, session: zenoh.Session) -> None:
+        """Declares it in the session that takes the place of its own, which is closed after that."""
 
 
 @final
@@ -70,8 +85,8 @@ class CallsInProgress:
 class Session:
     """Opens at the first use, so that a client may be made before its server runs.
 
-    Zenoh reconnects by itself and declares everything again. `close`, garbage collection or the interpreter's exit
-    (before its threads end) closes the session, whichever comes first.
+    After a broken connection everything is declared again, by Zenoh or in the session that takes its place. `close`,
+    garbage collection or the interpreter's exit (before its threads end) closes the session, whichever comes first.
 
     Attributes:
         connection: Endpoint and configuration.
@@ -81,12 +96,13 @@ class Session:
 
     def __init__(self, connection: Connection) -> None:
         self.connection: Final = connection
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()  # if an interrupt leaves it held, its thread can still take it
         self._session: zenoh.Session | None = None
         self._finalizer: weakref.finalize[[zenoh.Session, WeakSet[Closable], CallsInProgress], Session] | None = None
         self.calls: Final = CallsInProgress()
         self._closed = threading.Event()
         self._closed_before: WeakSet[Closable] = WeakSet()
+        self._declared: WeakSet[Declared] = WeakSet()
         self._in_vain = False
         self._turn = 0  # the endpoint to try first
         self.obstacle: Obstacle | None = None
@@ -108,9 +124,7 @@ class Session:
             raise NotConnected("another thread is still connecting")
         try:
             self._check()
-            if self._session is None:
-                self._session = self._connect(deadline)
-            return self._session
+            return self._session or self._adopt(self._connect(deadline))
         finally:
             self._lock.release()
 
@@ -121,6 +135,13 @@ class Session:
     def close_before(self, one: Closable) -> None:
         """Closes an object before the session ends in any way; keeps only a weak reference."""
         self._closed_before.add(one)
+
+    def keep(self, one: Declared, session: zenoh.Session) -> None:
+        """Moves what was declared in a session to the one that takes its place; keeps only a weak reference."""
+        with self._lock:
+            self._declared.add(one)
+            if self._session is not None and self._session is not session:  # it was replaced meanwhile
+                one.move(self._session)
 
     def pause(self, seconds: float) -> None:
         """Waits; closing the session ends the wait."""
@@ -148,11 +169,53 @@ class Session:
             self._in_vain = True
             self._turn = (self._turn + 1) % len(self.connection.endpoints)
             raise NotConnected(f"cannot connect: {brief(error)}") from error
-        self.obstacle = None
-        self._finalizer = weakref.finalize(self, _close, session, self._closed_before, self.calls)
-        hold(self, session)
         _logger.debug("connected to %s", self.connection.endpoint)
         return session
+
+    def _adopt(self, session: zenoh.Session) -> zenoh.Session:
+        self.obstacle = None
+        self._session = session
+        self._finalizer = weakref.finalize(self, _close, session, self._closed_before, self.calls)
+        hold(self, session)
+        events = session.info.declare_transport_events_listener(zenoh.handlers.RingChannel(4))
+        follow = threading.Thread(
+            target=_follow, args=(events, weakref.ref(self), self.calls), name="crkr-connections", daemon=True
+        )
+        try:
+            follow.start()
+        except RuntimeError as error:  # calls need no more threads
+            _logger.warning("reconnections to %s are not checked: %s", self.connection.endpoint, error)
+        return session
+
+    def replace_deaf(self) -> None:
+        """Has another session take the place of this one, if its new connection is not read from."""
+        self.pause(_SETTLES_S)
+        session = self.peek()
+        while session is not None and session is self.peek():
+            try:
+                with self.calls:
+                    if not is_deaf(session, _ANSWERS_S):
+                        return
+                    self._replace(session)
+            except BaseException as error:  # a panic in the binding is a BaseException
+                _logger.debug("the connection to %s is not read from: %s", self.connection.endpoint, error)
+                self.pause(_SETTLES_S)
+
+    def _replace(self, session: zenoh.Session) -> None:
+        with self._lock:
+            if self.peek() is not session:
+                return
+            fresh = self._connect(time.monotonic() + _OPEN_S)
+            _logger.info("the connection to %s is not read from: another session takes over", self.connection.endpoint)
+            finalizer = self._finalizer
+            self._adopt(fresh)
+            for one in list(self._declared):
+                try:
+                    one.move(fresh)
+                except zenoh.ZError as error:
+                    _logger.warning("not declared again: %s", brief(error))
+        if finalizer is not None and finalizer.detach() is not None:
+            session.close()  # type: ignore[no-untyped-call]  # zenoh's stub gives it no return type
 
     def _look(self, patience_s: float) -> None:
         """Raises `Unavailable` where another attempt cannot help; Zenoh would try until the deadline."""
@@ -171,6 +234,26 @@ class Session:
         if self._closed.is_set():
             raise Unavailable(f"the client of {self.connection.endpoint} is closed")
         check_not_forked()
+
+
+def _follow(
+    events: zenoh.TransportEventsListener[zenoh.handlers.Handler[zenoh.TransportEvent]],
+    owned: weakref.ref[Session],
+    calls: CallsInProgress,
+) -> None:
+    """Has each new connection checked, until the session is closed."""
+    while True:
+        try:
+            with calls:
+                event = events.recv()
+        except (NotConnected, zenoh.ZError):
+            return
+        owner = owned()
+        if owner is None:
+            return
+        if event.kind == zenoh.SampleKind.PUT:
+            owner.replace_deaf()
+        del owner
 
 
 def _close(session: zenoh.Session, earlier: WeakSet[Closable], calls: CallsInProgress) -> None:

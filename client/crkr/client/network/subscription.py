@@ -41,7 +41,7 @@ class _Buffer:
         self.messages: deque[tuple[str, bytes]] = deque()
         self.dropped = 0
         self.skipped = 0
-        self.closed = False
+        self.subscribers = 0  # two for a moment, while it moves to another session
         self.changed = threading.Condition()
         self._capacity, self._bytes = capacity, 0
 
@@ -59,8 +59,13 @@ class _Buffer:
                     pause.wait(_REST_S)
         finally:
             with self.changed:
-                self.closed = True
+                self.subscribers -= 1
                 self.changed.notify_all()
+
+    @property
+    def closed(self) -> bool:
+        """Whether nothing fills it."""
+        return self.subscribers == 0
 
     def pop(self) -> tuple[str, bytes]:
         """Removes the oldest; call it with `changed` held."""
@@ -103,17 +108,27 @@ class Subscription(Closing):
         unknown = [topic for topic in topics if topic not in TOPICS]
         if unknown or not topics or capacity < 1:
             raise Invalid(f"subscribe to one or more of {', '.join(TOPICS)} with capacity >= 1; got {topics!r}")
+        self._task, self._topics, self._buffer = task, tuple(topics), _Buffer(capacity)
+        self._finalizer = self._subscribe(session)
+
+    def _subscribe(self, session: zenoh.Session) -> weakref.finalize[..., Subscription]:
         # One subscriber for several topics keeps their order.
-        subscriber = session.declare_subscriber(
-            pub_key(task, topics[0] if len(topics) == 1 else "*"), zenoh.handlers.FifoChannel(1024)
+        topic = self._topics[0] if len(self._topics) == 1 else "*"
+        subscriber = session.declare_subscriber(pub_key(self._task, topic), zenoh.handlers.FifoChannel(1024))
+        with self._buffer.changed:
+            self._buffer.subscribers += 1
+        thread = threading.Thread(
+            target=self._buffer.fill, args=(subscriber.handler, self._topics), name=f"crkr-{self._task}", daemon=True
         )
-        self._buffer = _Buffer(capacity)
-        self._thread = threading.Thread(
-            target=self._buffer.fill, args=(subscriber.handler, tuple(topics)), name=f"crkr-{task}", daemon=True
-        )
-        self._thread.start()
-        self._finalizer = weakref.finalize(self, _undeclare, subscriber, self._thread)
+        thread.start()
         hold(self, subscriber)
+        return weakref.finalize(self, _undeclare, subscriber, thread)
+
+    def move(self, session: zenoh.Session) -> None:
+        """As `Declared.move`."""
+        if self._finalizer.alive:
+            self._finalizer, earlier = self._subscribe(session), self._finalizer
+            earlier()
 
     @property
     def dropped(self) -> int:

@@ -196,7 +196,10 @@ class ZenohTransport(Closing):
 
     def subscribe(self, task: str, topics: Sequence[str], capacity: int, deadline: float) -> Subscription:
         """As `Transport.subscribe`."""
-        return Subscription(self.connect(deadline), task, topics, capacity)
+        session = self.connect(deadline)
+        subscription = Subscription(session, task, topics, capacity)
+        self.session.keep(subscription, session)
+        return subscription
 
     def announce(self, task: str, worker_id: str, deadline: float) -> Presence:
         """As `Transport.announce`."""

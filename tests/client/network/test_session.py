@@ -1,0 +1,98 @@
+"""A session whose connection is not read from gives way to another, and what was declared in it moves along."""
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from typing import Any
+from urllib.parse import urlsplit
+
+import msgpack
+import pytest
+import zenoh
+from zenoh_wire import Cable
+
+from crkr.client import Client
+
+MakePeer = Callable[..., Any]
+CHECKED_S = 3.0  # longer than a reconnection is checked
+LIVE = "crkr/@v1/task/throw/live/"
+
+
+@pytest.fixture
+def peer(make_peer: MakePeer) -> Any:
+    return make_peer([{}])
+
+
+@pytest.fixture
+def cable(peer: Any) -> Iterator[Cable]:
+    port = urlsplit(peer.endpoint.replace("tcp/", "tcp://")).port
+    assert port is not None
+    with closing(Cable(port)) as carried:
+        yield carried
+
+
+def alive(peer: Any, kind: str) -> list[str]:
+    replies = peer.session.liveliness().get(LIVE + kind, timeout=1.0)
+    return sorted(str(reply.ok.key_expr).removeprefix(LIVE) for reply in replies if reply.ok is not None)
+
+
+def sessions(peer: Any) -> set[zenoh.ZenohId]:
+    return {transport.zid for transport in peer.session.info.transports()}
+
+
+def test_calls_are_answered_after_a_reconnection_that_is_not_read_from(peer: Any, cable: Cable) -> None:
+    with Client(cable.endpoint, timeout_s=60) as client:
+        client.info()
+        before = sessions(peer)
+        cable.break_off(silencing=1)
+        client.info()
+        assert sessions(peer).isdisjoint(before)
+
+
+def test_another_attempt_is_made_where_the_next_session_is_not_heard_either(peer: Any, cable: Cable) -> None:
+    with Client(cable.endpoint, timeout_s=60) as client:
+        client.info()
+        cable.break_off(silencing=2)
+        client.info()
+
+
+def test_the_session_stays_where_the_router_answers(peer: Any, cable: Cable) -> None:
+    with Client(cable.endpoint, timeout_s=60) as client:
+        client.info()
+        before = sessions(peer)
+        cable.break_off()
+        client.info()
+        checked = time.monotonic() + CHECKED_S
+        while time.monotonic() < checked:
+            client.info()
+        assert sessions(peer) == before
+
+
+def test_workers_roles_and_subscriptions_move_to_the_next_session(peer: Any, cable: Cable) -> None:
+    with Client(cable.endpoint, timeout_s=60) as client, client.task("throw").announce("w") as presence:
+        role = client.take_role("throw", "judge")
+        assert role is not None
+        subscription = client.task("throw").subscribe()
+        while not (held := alive(peer, "role/judge/*")) or alive(peer, "worker/*") != ["worker/w"]:
+            pass
+        told = peer.session.liveliness().declare_subscriber(LIVE + "worker/*", zenoh.handlers.FifoChannel(64))
+        before = sessions(peer)
+        cable.break_off(silencing=1)
+        client.info()
+        while not sessions(peer).isdisjoint(before):
+            pass
+        assert (alive(peer, "worker/*"), alive(peer, "role/judge/*")) == (["worker/w"], held)
+        assert role.is_mine()
+        for number in range(3):
+            message = msgpack.packb({"number": number})
+            peer.session.put("crkr/@v1/task/throw/pub/model", message, encoding="application/msgpack")
+        received = [subscription.receive(10.0) for _ in range(3)]
+        assert [message and message[1]["number"] for message in received] == [0, 1, 2]
+        kinds = [sample.kind for sample in iter(told.try_recv, None)]
+        assert kinds[-1] == zenoh.SampleKind.PUT  # or a server would take the worker for lost
+        presence.close()
+        role.close()
+        subscription.close()
+        assert subscription.closed
+        while alive(peer, "*/**"):
+            pass

@@ -8,7 +8,7 @@ import gymnasium
 import numpy as np
 from gymnasium import spaces
 
-__all__ = ["Aiming", "Walking", "walking"]
+__all__ = ["Aiming", "Walking", "odd", "walking"]
 
 
 class Aiming(gymnasium.Env[Any, Any]):
@@ -49,3 +49,24 @@ class Walking(gymnasium.Env[Any, Any]):
 def walking(observation: spaces.Space[Any] | None = None, action: spaces.Space[Any] | None = None) -> Any:
     """What makes a `Walking`."""
     return lambda: Walking(observation, action)
+
+
+class _Odd(Walking):
+    """Says what no environment should."""
+
+    def __init__(self, state: float | None, reward: float, info: dict[str, Any]) -> None:
+        super().__init__()
+        self._state, self._reward, self._info = state, reward, info
+
+    def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[Any, dict[str, Any]]:
+        observation, info = super().reset(seed=seed, options=options)
+        return observation if self._state is None else np.full(2, self._state), info
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        observation, *_ = super().step(action)
+        return observation, self._reward, False, False, self._info
+
+
+def odd(state: float | None = None, reward: float = 0.0, info: dict[str, Any] | None = None) -> Any:
+    """What makes an environment that starts from odd states, or rewards or tells oddly."""
+    return lambda: _Odd(state, reward, info or {})

@@ -173,6 +173,10 @@ class GuardedSkill:
 
     def scene(self) -> Sequence[Geom]:
         """The shapes for displays; empty where the skill has none or they cannot be drawn."""
+        return self.shapes() or []
+
+    def shapes(self) -> Sequence[Geom] | None:
+        """As `scene`, but None where they cannot be drawn."""
         if not isinstance(self._skill, HasScene):
             return []
         try:
@@ -180,11 +184,11 @@ class GuardedSkill:
                 shapes = list(self._skill.scene())
         except Exception as error:
             logger.warning("%s.scene: %s; displays show no shapes", self._name, one_line(error))
-            return []
+            return None
         strange = [type(shape).__name__ for shape in shapes if not isinstance(shape, Geom)]
         if strange:
             logger.warning("%s.scene must return Geoms; got %s; displays show no shapes", self._name, strange[0])
-            return []
+            return None
         return shapes
 
     def _put(self, method: str, call: Callable[[], Array]) -> Array:

@@ -16,7 +16,7 @@ import numpy as np
 
 from crkr.protocol import MAX_TELEMETRY_BYTES, Array, Geom, TaskSpec, pack
 from crkr.sim_worker.guarded_skill import MOST_FAULTS, GuardedSkill, SkillFault
-from crkr.sim_worker.skill import HasScene, Skill, TrialResult
+from crkr.sim_worker.skill import Skill, TrialResult
 from crkr.sim_worker.worker.telemetry import thinned
 
 __all__ = ["Remark", "check", "problems"]
@@ -71,7 +71,7 @@ def check(
         yield from _situations(guarded, spec, seed)
         yield from _trials(guarded, spec, seed)
         yield from _neighbours(guarded, spec, seed)
-        yield from _pictures(skill, guarded, spec, seed)
+        yield from _pictures(guarded, spec, seed)
         yield from _demonstrations(guarded, seed)
     except SkillFault as fault:
         yield Remark("problem", "contract", fault.message)
@@ -232,14 +232,14 @@ def _numbers(result: TrialResult, spec: TaskSpec) -> Array:
     return np.array([np.nan if result.cost is None else result.cost, *outcome])
 
 
-def _pictures(skill: Skill, guarded: GuardedSkill, spec: TaskSpec, seed: int) -> Iterator[Remark]:
+def _pictures(guarded: GuardedSkill, spec: TaskSpec, seed: int) -> Iterator[Remark]:
     """The scene, and whether a trace fits it."""
-    if not isinstance(skill, HasScene):
-        yield Remark("ok", "scene", "none: displays show no shapes")
-        return
-    shapes = guarded.scene()
-    if not shapes:
+    shapes = guarded.shapes()
+    if shapes is None:
         yield Remark("problem", "scene", "cannot be drawn; it must return a list of Geom")
+        return
+    if not shapes:
+        yield Remark("ok", "scene", "none: displays show no shapes")
         return
     rng, (low, high) = np.random.default_rng((seed, 6)), spec.bounds
     trace = None

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from gymnasium import spaces
-from small_environments import Aiming, walking
+from small_environments import Aiming, odd, walking
 
 from crkr.learner import Learner
 from crkr.protocol import Invalid, geoms_to_wire
@@ -17,6 +17,7 @@ from crkr.sim_worker import SkillOptions, load_skill
 from crkr.sim_worker.gymnasium import gymnasium_skill
 from crkr.sim_worker.gymnasium.observation import rounded_box
 from crkr.sim_worker.skill import HasScene, Skill
+from crkr.sim_worker.skill_check import check
 from crkr.sim_worker.skill_registry import check_skill, default_task
 
 REACHER = Path(__file__).parents[3] / "examples" / "gymnasium_reacher.py"
@@ -157,6 +158,20 @@ def test_a_free_object_makes_the_situation_of_fetch_push() -> None:
         (walking(), {"steps": 5, "cost": ("return", 1.0, 0.0)}, "WORST < BEST"),
         (walking(), {"steps": 5, "goal_bounds": (2.0, 3.0)}, "leave goals no room"),
         (walking(), {"steps": 5, "goal_bounds": ([0.0, 0.0], 1.0)}, "goal_bounds need one number or 1"),
+        (walking(), {"steps": 5, "cost": ("return", 1.0)}, "WORST < BEST"),
+        (walking(), {"steps": 0}, "steps must be a whole number from 1 to 1000000; got 0"),
+        (walking(), {"steps": 10**12}, "steps must be a whole number"),
+        (walking(), {"steps": 5, "via_points": 0}, "via_points must be a whole number from 1 to 256; got 0"),
+        (walking(), {"steps": 5, "via_points": 10**9}, "via_points must be a whole number"),
+        (walking(action=spaces.Box(-1.7e308, 1.7e308, (1,), np.float64)), {"steps": 5}, "wider than numbers reach"),
+        (walking(spaces.Box(-1.0, 1.0, (1001,))), {"steps": 5}, "has 1001 numbers to choose from"),
+        (walking(spaces.Box(-1.0, 1.0, (0,))), {"steps": 5}, "has 0 numbers to choose from"),
+        (lambda: 5, {}, r"must return a gymnasium.Env; got int"),
+        (odd(state=np.nan), {"steps": 5}, "observation_0 is not a finite number"),
+        (odd(state=1e305), {"steps": 5}, "observation_0 is not a finite number below 1e.300"),
+        (odd(reward=np.nan), {"steps": 5}, "the return of a random episode is nan"),
+        (odd(reward=-np.inf), {"steps": 5}, "the return of a random episode is -inf"),
+        (odd(info={"is_success": "no"}), {"steps": 5}, "is_success must be true or false; got 'no'"),
         (walking(), {"steps": 5, "settings": {"bugdet": 1}}, "unknown fields in the specification: bugdet"),
     ],
 )
@@ -166,6 +181,13 @@ def test_an_environment_that_makes_no_skill_is_refused_with_what_to_do(
     with pytest.raises(Invalid, match=complaint) as refused:
         gymnasium_skill(source, **options)(SkillOptions())
     assert "\n" not in refused.value.message
+
+
+def test_an_environment_without_shapes_is_no_problem() -> None:
+    skill = gymnasium_skill(Aiming, success="near", cost=("return", -4.0, 0.0))(SkillOptions())
+    found = {(remark.level, remark.what) for remark in check(skill)}
+    assert ("ok", "scene") in found
+    assert "problem" not in {level for level, _ in found}
 
 
 def test_images_are_no_hindrance_where_other_entries_are_named() -> None:

@@ -24,6 +24,8 @@ Bounds = float | tuple[Any, Any]
 """The greatest size of all numbers of a goal; or their (low, high), each a number or (n,)."""
 
 ROBOTICS: Final = "gymnasium_robotics"
+MOST_STEPS: Final = 1_000_000
+WIDEST: Final = 1e300  # range of an action's number
 PROBES: Final = 3  # random episodes that show whether one action ends an episode
 
 
@@ -71,6 +73,8 @@ def make_environment(
     Raises:
         Invalid: There is no such environment, or its episodes cannot be trials; the message says what to do.
     """
+    if steps is not None and not (isinstance(steps, int) and 1 <= steps <= MOST_STEPS):
+        raise Invalid(f"steps must be a whole number from 1 to {MOST_STEPS}; got {shown(steps)}")
     env, name = _made(source, settings)
     space = env.action_space
     if not isinstance(space, Box):
@@ -96,6 +100,8 @@ def _made(
 ) -> tuple[gymnasium.Env[Any, Any], str]:
     if callable(source):
         env = source()
+        if not isinstance(env, gymnasium.Env):
+            raise Invalid(f"what makes the environment must return a gymnasium.Env; got {type(env).__name__}")
         return env, env.spec.id if env.spec is not None else type(env.unwrapped).__name__
     if source not in gymnasium.registry and importlib.util.find_spec(ROBOTICS) is not None:
         _register_robotics()
@@ -136,6 +142,8 @@ def _action_bounds(space: Box, given: Bounds | None, name: str) -> tuple[Array, 
                 f"{name}: action {first} has no bounds; give them: gymnasium_skill({name!r}, goal_bounds=1.0)"
             )
         low, high = narrowed(low, high, given, name)
+    if (high / 2 - low / 2 > WIDEST / 2).any():
+        raise Invalid(f"{name}: its actions' bounds are wider than numbers reach; give narrower goal_bounds")
     return low, high
 
 

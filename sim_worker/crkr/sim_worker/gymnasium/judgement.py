@@ -140,9 +140,19 @@ def judge_by(
     """
     measure = _measure(first, outcome)
     tolerances = {} if measure is None else _tolerances(measure(first), first, name, tolerance)
-    returns = cache(returns)
-    succeeded, rule = _success(first, returns, name, success, measure, tolerances)
-    return Judgement(measure, tolerances, succeeded, _cost(returns, cost, measure, tolerances), rule)
+
+    @cache
+    def finite_returns() -> Array:
+        found = returns()
+        if not np.isfinite(found).all():
+            odd = found[~np.isfinite(found)][0]
+            raise Invalid(
+                f"{name}: the return of a random episode is {odd}; give a finite cost=..., or mend its rewards"
+            )
+        return found
+
+    succeeded, rule = _success(first, finite_returns, name, success, measure, tolerances)
+    return Judgement(measure, tolerances, succeeded, _cost(finite_returns, cost, measure, tolerances), rule)
 
 
 def _measure(episode: Episode, given: Measure | None) -> Callable[[Episode], Mapping[str, float]] | None:
@@ -196,6 +206,8 @@ def _success(
         if flag not in first.info:
             known = ", ".join(sorted(first.info)) or "nothing"
             raise Invalid(f"{name} tells no {flag!r} at the end of an episode; it tells {known}")
+        if np.asarray(first.info[flag]).dtype.kind not in "biuf":
+            raise Invalid(f"{name}: {flag} must be true or false; got {shown(first.info[flag])}")
         return lambda episode: bool(np.all(episode.info[flag])), f"success is {flag}"
     if measure is not None:
         return lambda episode: _deviation(measure(episode), tolerances) <= 1.0, "success is an outcome in tolerance"
@@ -219,7 +231,7 @@ def _cost(
         best += 0.1 * (best - middle)  # learning finds better ones than random goals
         best = best if best > worst else worst + 1.0
     else:
-        kind, worst, best = given
+        kind, worst, best = given if isinstance(given, tuple | list) and len(given) == 3 else (None, 0.0, 0.0)
         if kind != "return" or not worst < best:
             raise Invalid(f'cost must be ("return", WORST, BEST) with WORST < BEST, or a function; got {given!r}')
     return lambda episode: float((best - episode.total) / (best - worst))

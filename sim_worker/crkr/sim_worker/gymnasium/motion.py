@@ -8,7 +8,8 @@ from typing import Any, Final, Protocol, final
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from crkr.protocol import Array
+from crkr.protocol import Array, Invalid
+from crkr.protocol.errors import shown
 from crkr.sim_worker.gymnasium.environment import Bounds, Environment, narrowed
 from crkr.sim_worker.primitives import JointLimits, Primitive
 
@@ -19,6 +20,7 @@ Actions = Callable[[int], Array]
 
 HIT: Final = 0.6  # share of the episode until the joints arrive
 STIFFNESS: Final = 0.3  # per step: feedback gain; beyond 0.5 it oscillates
+MOST_POINTS: Final = 256  # a goal has no more numbers
 MARGIN: Final = 0.02  # share of a joint's range at each end that goals avoid
 
 
@@ -38,8 +40,10 @@ def motion_for(environment: Environment, via_points: int | None, goal_bounds: Bo
 
     A stroke of the joints where the environment is a MuJoCo model whose actions drive joints one by one and
     `via_points` is None; otherwise actions through that many points, one unless given. Raises `Invalid` for bounds that
-    leave goals no room.
+    leave goals no room, and for no or too many points.
     """
+    if via_points is not None and not (isinstance(via_points, int) and 1 <= via_points <= MOST_POINTS):
+        raise Invalid(f"via_points must be a whole number from 1 to {MOST_POINTS}; got {shown(via_points)}")
     if environment.steps > 1 and via_points is None and _drives_joints(environment):
         return JointStroke(environment, goal_bounds)
     return ViaPoints(environment, 1 if environment.steps == 1 else via_points or 1, goal_bounds)

@@ -13,6 +13,8 @@ from crkr.protocol import Array, Invalid
 
 __all__ = ["Observation", "rounded_box"]
 
+GREATEST: Final = 1e300  # size of an observed number
+MOST_NUMBERS: Final = 1000  # of all entries
 MOST: Final = 64  # numbers of a two-dimensional entry; a larger one is an image
 REPEATS: Final = 0.03  # an entry is redundant if earlier entries explain all but this share
 QUIET: Final = 10.0  # times narrower than the widest entry: reset noise, which gets a longer length-scale
@@ -49,7 +51,17 @@ class Observation:
             Invalid: An entry is an image or not numeric, or a chosen name does not exist.
         """
         labels, places = _listed(space, chosen, name)
+        if not 0 < len(labels) <= MOST_NUMBERS:
+            raise Invalid(
+                f"{name}: its observation has {len(labels)} numbers to choose from, but a state is a short vector; "
+                f'name those to keep: gymnasium_skill({name!r}, state=["..."])'
+            )
         values = np.array([[_at(sample, place) for place in places] for sample in samples])
+        strange = ~(np.abs(values) < GREATEST).all(axis=0)
+        if strange.any():
+            raise Invalid(
+                f"{name}: {labels[int(np.argmax(strange))]} is not a finite number below {GREATEST:g} after every reset"
+            )
         kept = _telling(values) if chosen is None else list(range(len(places)))
         if not kept:  # always the same situation: a state that is constant
             return cls(

@@ -25,6 +25,8 @@ logger = logging.getLogger(__name__)
 
 RESETS: Final = 100
 """Resets that define the state's box, with fixed seeds so that every worker finds the same task."""
+TRIES: Final = 1000
+"""Random goals of which one must be possible."""
 EPISODES: Final = 40
 """Random episodes that define the cost of a return by default."""
 
@@ -135,14 +137,18 @@ class _Trials:
         return Episode(self.environment.env.unwrapped, observation, total, info)
 
     def random(self, seed: int) -> Episode:
-        """The episode of a goal drawn from the bounds; the first that can be tried."""
+        """The episode of a goal drawn from the bounds, the first that can be tried; `Invalid` where none can."""
         rng = np.random.default_rng(seed)
-        while True:
+        for _ in range(TRIES):
             self.environment.env.reset(seed=seed)
             try:
                 return self.run(rng.uniform(*self._box))
-            except Infeasible:
-                continue
+            except Infeasible as infeasible:
+                reason = infeasible.reason
+        raise Invalid(
+            f"{self.environment.name}: none of {TRIES} goals within the bounds can be tried ({reason}); "
+            "give other goal_bounds, or via_points"
+        )
 
 
 @final

@@ -79,9 +79,10 @@ class Cable:
         self._whole.set()
         self._ends: list[socket.socket] = []
         self._threads: list[threading.Thread] = []
+        self._count = 0
+        self._silent: set[int] = set()  # connections, by their order
         self._listener = socket.create_server(("127.0.0.1", 0))
         self.endpoint = f"tcp/127.0.0.1:{self._listener.getsockname()[1]}"
-        self._silenced = 0
         self._run(self._accept)
 
     @contextmanager
@@ -90,9 +91,13 @@ class Cable:
         yield
         self._whole.set()
 
+    def silence(self) -> None:
+        """From now on the present connections bring nothing back but signs of life."""
+        self._silent.update(range(self._count))
+
     def break_off(self, *, silencing: int = 0) -> None:
         """Ends each connection; of the next that come, `silencing` bring nothing back but signs of life."""
-        self._silenced = silencing
+        self._silent.update(range(self._count, self._count + silencing))
         self._end(self._ends)
 
     def close(self) -> None:
@@ -119,8 +124,8 @@ class Cable:
                 far = socket.create_connection(("127.0.0.1", self._port))
                 self._ends += [near, far]
                 self._run(self._carry, near, far)
-                self._run(self._carry if self._silenced == 0 else self._silence, far, near)
-                self._silenced = max(0, self._silenced - 1)
+                self._run(self._bring, far, near, self._count)
+                self._count += 1
 
     def _carry(self, source: socket.socket, sink: socket.socket) -> None:
         with suppress(OSError):
@@ -131,8 +136,12 @@ class Cable:
             self._whole.wait()
             sink.shutdown(socket.SHUT_WR)
 
-    def _silence(self, source: socket.socket, sink: socket.socket) -> None:
+    def _bring(self, source: socket.socket, sink: socket.socket, number: int) -> None:
         with suppress(OSError):
             for count, batch in enumerate(_batches(source)):
-                if count < _HANDSHAKE or len(batch) <= _KEEP_ALIVE_BYTES:
+                self._whole.wait()
+                if number not in self._silent or count < _HANDSHAKE or len(batch) <= _KEEP_ALIVE_BYTES:
                     sink.sendall(struct.pack("<H", len(batch)) + batch)
+        with suppress(OSError):
+            self._whole.wait()
+            sink.shutdown(socket.SHUT_WR)

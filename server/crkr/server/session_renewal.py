@@ -27,6 +27,7 @@ from crkr.server.thread_faults import FAULTS, keep_running
 
 __all__ = ["SessionRenewal", "cut_connections", "is_broken"]
 
+_POISONED: Final = "PoisonError"
 _AGAIN_S: Final = 0.3  # a second panic after this time shows that the fault persists
 _WITHIN_S: Final = 10.0
 _PAUSE_S: Final = 30.0  # between renewals for such panics
@@ -49,15 +50,16 @@ class SessionRenewal:
         """Start to watch."""
         self._thread.start()
 
-    def note_panic(self) -> None:
-        """Record a panic; thread-safe."""
+    def note_panic(self, panic: BaseException) -> None:
+        """Record a panic; thread-safe. One over a lock that an earlier panic left poisoned is of a fault that stays."""
         now = time.monotonic()
         with self._lock:
             if now - self._last < _PAUSE_S:
                 return
-            if now - self._first > _WITHIN_S:
+            lasting = _POISONED in str(panic)
+            if now - self._first > _WITHIN_S and not lasting:
                 self._first = now
-            elif now - self._first >= _AGAIN_S:
+            elif now - self._first >= _AGAIN_S or lasting:
                 self._first, self._last = float("-inf"), now
                 self._wanted.set()
 

@@ -37,10 +37,10 @@ class ThreadFaults:
         self._lock = threading.Lock()
         self._counts: Counter[str] = Counter()
         self._ended: Counter[str] = Counter()
-        self._on_panic: Callable[[], None] | None = None
+        self._on_panic: Callable[[BaseException], None] | None = None
 
-    def call_on_panic(self, on_panic: Callable[[], None] | None) -> None:
-        """Call `on_panic` after each panic of a binding, on the thread that saw it; None to stop."""
+    def call_on_panic(self, on_panic: Callable[[BaseException], None] | None) -> None:
+        """Call `on_panic` with each panic of a binding, on the thread that saw it; None to stop."""
         self._on_panic = on_panic
 
     def note(self, error: BaseException, thread: str | None = None) -> None:
@@ -55,7 +55,7 @@ class ThreadFaults:
             if count & (count - 1) == 0:
                 logger.error("thread %s continues after fault %d: %r", name, count, error, exc_info=error)
             if self._on_panic is not None and is_panic(error):
-                self._on_panic()
+                self._on_panic(error)
 
     def note_end(self, error: BaseException | None, thread: str) -> None:
         """Record a thread that ended by an exception. Never raises."""

@@ -49,6 +49,15 @@ def test_calls_are_answered_after_a_reconnection_that_is_not_read_from(peer: Any
         assert sessions(peer).isdisjoint(before)
 
 
+def test_calls_are_answered_after_a_connection_that_lives_and_brings_nothing_back(peer: Any, cable: Cable) -> None:
+    with Client(cable.endpoint, timeout_s=60) as client:
+        client.info()
+        before = sessions(peer)
+        cable.silence()
+        client.info()
+        assert not sessions(peer) <= before
+
+
 def test_another_attempt_is_made_where_the_next_session_is_not_heard_either(peer: Any, cable: Cable) -> None:
     with Client(cable.endpoint, timeout_s=60) as client:
         client.info()

@@ -345,6 +345,16 @@ def test_panics_that_pass_do_not_renew_the_session() -> None:
     renewal = SessionRenewal(lambda: renewed.append(None), lambda: False, lambda: None)
     renewal.start()
     for _ in range(100):  # at once
-        renewal.note_panic()
+        renewal.note_panic(RuntimeError("called `Option::unwrap()` on a `None` value"))
     renewal.stop(PATIENCE_S)
     assert renewed == []
+
+
+def test_a_panic_over_a_poisoned_lock_renews_the_session_at_once(processes: Processes) -> None:
+    renewed: list[None] = []
+    renewal = SessionRenewal(lambda: renewed.append(None), lambda: False, lambda: None)
+    renewal.start()
+    renewal.note_panic(RuntimeError("called `Result::unwrap()` on an `Err` value: PoisonError { .. }"))
+    processes.wait_until(lambda: renewed)
+    renewal.stop(PATIENCE_S)
+    assert renewed == [None]

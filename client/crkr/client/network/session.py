@@ -2,8 +2,8 @@
 
 Zenoh connects again by itself after a link was lost. If the time for that is over at the moment when it succeeds, Zenoh
 sends on the new connection and never reads from it: every question times out, while the router sees a client that is
-alive. So the router is asked after each reconnection, and where it does not answer, another session takes the place of
-this one.
+alive. A server whose Zenoh panicked may keep a connection alive and not read from it either. So the router is asked
+after each reconnection and when questions time out; where it does not answer, another session takes this one's place.
 """
 
 from __future__ import annotations
@@ -187,19 +187,36 @@ class Session:
             _logger.warning("reconnections to %s are not checked: %s", self.connection.endpoint, error)
         return session
 
-    def replace_deaf(self) -> None:
-        """Has another session take the place of this one, if its new connection is not read from."""
+    def check_connection(self) -> None:
+        """Has a session whose new connection is not read from replaced, however long that takes."""
         self.pause(_SETTLES_S)
         session = self.peek()
         while session is not None and session is self.peek():
             try:
-                with self.calls:
-                    if not is_deaf(session, _ANSWERS_S):
-                        return
-                    self._replace(session)
+                if not self.replace_deaf(_ANSWERS_S):
+                    return
             except BaseException as error:  # a panic in the binding is a BaseException
                 _logger.debug("the connection to %s is not read from: %s", self.connection.endpoint, error)
                 self.pause(_SETTLES_S)
+
+    def replace_deaf(self, patience_s: float) -> bool:
+        """Has another session take the place of this one if its router does not answer in that time.
+
+        Returns:
+            Whether it did not answer.
+
+        Raises:
+            NotConnected: The other one could not be opened, or the client was closed.
+            zenoh.ZError: The session was closed.
+        """
+        session = self.peek()
+        if session is None:
+            return False
+        with self.calls:
+            deaf = is_deaf(session, patience_s)
+            if deaf:
+                self._replace(session)
+        return deaf
 
     def _replace(self, session: zenoh.Session) -> None:
         with self._lock:
@@ -252,7 +269,7 @@ def _follow(
         if owner is None:
             return
         if event.kind == zenoh.SampleKind.PUT:
-            owner.replace_deaf()
+            owner.check_connection()
         del owner
 
 

@@ -15,6 +15,7 @@ import os
 import random
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import Final, final
 
 import zenoh
@@ -50,15 +51,23 @@ _LATER_ATTEMPT_S: Final = 1.0
 _FIRST_PAUSE_S: Final = 0.02
 _LONGEST_PAUSE_S: Final = 0.25
 _LOOK_AGAIN_S: Final = 1.0
+_ANSWERS_S: Final = 1.0  # the router itself, not the server
 
 
 class _Unanswered(Exception):
-    """This attempt brought no answer; `pause_s` is the pause that the server asked for."""
+    """This attempt brought no answer.
 
-    def __init__(self, reason: str, pause_s: float | None = None) -> None:
+    Attributes:
+        reason: Why not.
+        pause_s: The pause that the server asked for.
+        timed_out: Zenoh was connected and waited in vain.
+    """
+
+    def __init__(self, reason: str, pause_s: float | None = None, *, timed_out: bool = False) -> None:
         super().__init__(reason)
         self.reason = reason
         self.pause_s = pause_s
+        self.timed_out = timed_out
 
 
 @final
@@ -103,6 +112,9 @@ class ZenohTransport(Closing):
                 if attempt == 0:
                     _logger.info("%s at %s: %s; trying again", key, self.endpoint, reason)
                 self.session.pause(min(pause, max(0.0, deadline - time.monotonic())))
+                if unanswered.timed_out and attempt:
+                    with suppress(NotConnected, zenoh.ZError):
+                        self.session.replace_deaf(min(_ANSWERS_S, max(0.001, deadline - time.monotonic())))
             attempt += 1
 
     def _attempt(
@@ -256,7 +268,7 @@ def _open_reply(reply: zenoh.Reply, key: str) -> bytes:
         raise _Unanswered("an empty reply")
     body = reply.err.payload.to_bytes()
     if body == b"Timeout":  # Zenoh's own, at the end of the attempt
-        raise _Unanswered("connected, but no reply in time")
+        raise _Unanswered("connected, but no reply in time", timed_out=True)
     try:
         error = error_from_wire(unpack(body))
     except Invalid as unreadable:

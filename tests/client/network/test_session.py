@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterator
-from contextlib import closing
+from contextlib import closing, suppress
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -12,6 +12,7 @@ import zenoh
 from zenoh_wire import Cable
 
 from crkr.client import Client
+from crkr.protocol import Unavailable
 
 MakePeer = Callable[..., Any]
 CHECKED_S = 3.0  # longer than a reconnection is checked
@@ -56,6 +57,16 @@ def test_calls_are_answered_after_a_connection_that_lives_and_brings_nothing_bac
         cable.silence()
         client.info()
         assert not sessions(peer) <= before
+
+
+def test_calls_of_short_patience_bring_the_next_session_about_too(peer: Any, cable: Cable) -> None:
+    with Client(cable.endpoint, timeout_s=2.0) as client:
+        client.info()
+        cable.silence()
+        while True:  # the pytest timeout is the deadline
+            with suppress(Unavailable):
+                client.info()
+                break
 
 
 def test_another_attempt_is_made_where_the_next_session_is_not_heard_either(peer: Any, cable: Cable) -> None:

@@ -58,9 +58,9 @@ class Role(Closing):
             raise Unavailable(f"{error} at {owner.connection.endpoint}; is the server running?") from error
         except zenoh.ZError as error:
             raise Internal(f"the role {role!r} could not be taken: {brief(error)}") from error
-        role_held = cls(token, key, connected, taken)
-        owner.keep(role_held, connected)
-        return role_held
+        held = cls(token, key, connected, taken)
+        owner.keep(held, connected)
+        return held
 
     def is_mine(self) -> bool:
         """Asks whether this process is to keep the role: False where another holder is, or after `close`."""

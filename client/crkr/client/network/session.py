@@ -103,6 +103,7 @@ class Session:
         self._closed = threading.Event()
         self._closed_before: WeakSet[Closable] = WeakSet()
         self._declared: WeakSet[Declared] = WeakSet()
+        self._checking: threading.Thread | None = None
         self._in_vain = False
         self._turn = 0  # the endpoint to try first
         self.obstacle: Obstacle | None = None
@@ -187,36 +188,29 @@ class Session:
             _logger.warning("reconnections to %s are not checked: %s", self.connection.endpoint, error)
         return session
 
+    def suspect(self) -> None:
+        """Has the connection checked, by a thread of its own, unless one is about it."""
+        checking = self._checking
+        if checking is None or not checking.is_alive():
+            self._checking = threading.Thread(target=self.check_connection, name="crkr-suspicion", daemon=True)
+            try:
+                self._checking.start()
+            except RuntimeError as error:  # no more threads
+                _logger.debug("the connection to %s is not checked: %s", self.connection.endpoint, error)
+
     def check_connection(self) -> None:
-        """Has a session whose new connection is not read from replaced, however long that takes."""
+        """Has another session take the place of one whose router does not answer, however long that takes."""
         self.pause(_SETTLES_S)
         session = self.peek()
         while session is not None and session is self.peek():
             try:
-                if not self.replace_deaf(_ANSWERS_S):
-                    return
+                with self.calls:
+                    if not is_deaf(session, _ANSWERS_S):
+                        return
+                    self._replace(session)
             except BaseException as error:  # a panic in the binding is a BaseException
                 _logger.debug("the connection to %s is not read from: %s", self.connection.endpoint, error)
                 self.pause(_SETTLES_S)
-
-    def replace_deaf(self, patience_s: float) -> bool:
-        """Has another session take the place of this one if its router does not answer in that time.
-
-        Returns:
-            Whether it did not answer.
-
-        Raises:
-            NotConnected: The other one could not be opened, or the client was closed.
-            zenoh.ZError: The session was closed.
-        """
-        session = self.peek()
-        if session is None:
-            return False
-        with self.calls:
-            deaf = is_deaf(session, patience_s)
-            if deaf:
-                self._replace(session)
-        return deaf
 
     def _replace(self, session: zenoh.Session) -> None:
         with self._lock:

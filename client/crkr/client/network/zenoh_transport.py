@@ -15,7 +15,6 @@ import os
 import random
 import time
 from collections.abc import Sequence
-from contextlib import suppress
 from typing import Final, final
 
 import zenoh
@@ -51,7 +50,6 @@ _LATER_ATTEMPT_S: Final = 1.0
 _FIRST_PAUSE_S: Final = 0.02
 _LONGEST_PAUSE_S: Final = 0.25
 _LOOK_AGAIN_S: Final = 1.0
-_ANSWERS_S: Final = 1.0  # the router itself, not the server
 
 
 class _Unanswered(Exception):
@@ -113,8 +111,7 @@ class ZenohTransport(Closing):
                     _logger.info("%s at %s: %s; trying again", key, self.endpoint, reason)
                 self.session.pause(min(pause, max(0.0, deadline - time.monotonic())))
                 if unanswered.timed_out and attempt:
-                    with suppress(NotConnected, zenoh.ZError):
-                        self.session.replace_deaf(min(_ANSWERS_S, max(0.001, deadline - time.monotonic())))
+                    self.session.suspect()
             attempt += 1
 
     def _attempt(

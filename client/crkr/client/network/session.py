@@ -3,7 +3,7 @@
 Zenoh connects again by itself after a link was lost. If the time for that is over at the moment when it succeeds, Zenoh
 sends on the new connection and never reads from it: every question times out, while the router sees a client that is
 alive. A server whose Zenoh panicked may keep a connection alive and not read from it either. So the router is asked
-after each reconnection and when questions time out; where it does not answer, another session takes this one's place.
+when questions time out, and where it does not answer, another session takes the place of this one.
 """
 
 from __future__ import annotations
@@ -178,27 +178,19 @@ class Session:
         self._session = session
         self._finalizer = weakref.finalize(self, _close, session, self._closed_before, self.calls)
         hold(self, session)
-        events = session.info.declare_transport_events_listener(zenoh.handlers.RingChannel(4))
-        follow = threading.Thread(
-            target=_follow, args=(events, weakref.ref(self), self.calls), name="crkr-connections", daemon=True
-        )
-        try:
-            follow.start()
-        except RuntimeError as error:  # calls need no more threads
-            _logger.warning("reconnections to %s are not checked: %s", self.connection.endpoint, error)
         return session
 
     def suspect(self) -> None:
         """Has the connection checked, by a thread of its own, unless one is about it."""
         checking = self._checking
         if checking is None or not checking.is_alive():
-            self._checking = threading.Thread(target=self.check_connection, name="crkr-suspicion", daemon=True)
+            self._checking = threading.Thread(target=self._check_connection, name="crkr-suspicion", daemon=True)
             try:
                 self._checking.start()
             except RuntimeError as error:  # no more threads
                 _logger.debug("the connection to %s is not checked: %s", self.connection.endpoint, error)
 
-    def check_connection(self) -> None:
+    def _check_connection(self) -> None:
         """Has another session take the place of one whose router does not answer, however long that takes."""
         self.pause(_SETTLES_S)
         session = self.peek()
@@ -245,26 +237,6 @@ class Session:
         if self._closed.is_set():
             raise Unavailable(f"the client of {self.connection.endpoint} is closed")
         check_not_forked()
-
-
-def _follow(
-    events: zenoh.TransportEventsListener[zenoh.handlers.Handler[zenoh.TransportEvent]],
-    owned: weakref.ref[Session],
-    calls: CallsInProgress,
-) -> None:
-    """Has each new connection checked, until the session is closed."""
-    while True:
-        try:
-            with calls:
-                event = events.recv()
-        except (NotConnected, zenoh.ZError):
-            return
-        owner = owned()
-        if owner is None:
-            return
-        if event.kind == zenoh.SampleKind.PUT:
-            owner.check_connection()
-        del owner
 
 
 def _close(session: zenoh.Session, earlier: WeakSet[Closable], calls: CallsInProgress) -> None:

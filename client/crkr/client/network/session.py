@@ -30,7 +30,7 @@ _OPEN_S: Final = 1.0
 _LEAVE_S: Final = 1.0
 _LOOK_S: Final = 0.5
 _LOOK_AGAIN_S: Final = 3.0
-_SETTLES_S: Final = 0.2  # until a new connection is in use
+_PAUSE_S: Final = 0.2  # between tries to open another session
 _ANSWERS_S: Final = 2.0  # the router itself, not the server
 
 
@@ -192,7 +192,6 @@ class Session:
 
     def _check_connection(self) -> None:
         """Has another session take the place of one whose router does not answer, however long that takes."""
-        self.pause(_SETTLES_S)
         session = self.peek()
         while session is not None and session is self.peek():
             try:
@@ -202,7 +201,7 @@ class Session:
                     self._replace(session)
             except BaseException as error:  # a panic in the binding is a BaseException
                 _logger.debug("the connection to %s is not read from: %s", self.connection.endpoint, error)
-                self.pause(_SETTLES_S)
+                self.pause(_PAUSE_S)
 
     def _replace(self, session: zenoh.Session) -> None:
         with self._lock:

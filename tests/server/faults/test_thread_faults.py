@@ -190,6 +190,14 @@ def number(value: int) -> bytes:
     return written + bytes([value])
 
 
+def message_start(batch: bytes) -> int:
+    """Where the first message of a frame starts: behind one byte and a number, whose first value is random."""
+    place = 1
+    while batch[place] & 128:
+        place += 1
+    return place + 1
+
+
 def overlong(first: bytes, rest: bytes, seen: list[int]) -> Callable[[bytes], bytes]:
     """Makes of a publication a declared prefix, and of the next message one on that prefix and a suffix.
 
@@ -201,11 +209,12 @@ def overlong(first: bytes, rest: bytes, seen: list[int]) -> Callable[[bytes], by
         place = batch.find(dummy)
         if place < 0:
             return batch
+        start = message_start(batch)
         seen.append(place)
         if len(seen) == 1:
-            return batch[:5] + b"\x9e\x21\x08\x20\x09\0" + number(len(first)) + first
-        head = b"\x7d" if batch[5] == 0x7D else b"\xfc" + batch[6 : place - 2]
-        return batch[:5] + head + b"\x09" + number(len(rest)) + rest + batch[place + len(dummy) + 1 :]
+            return batch[:start] + b"\x9e\x21\x08\x20\x09\0" + number(len(first)) + first
+        head = b"\x7d" if batch[start] == 0x7D else b"\xfc" + batch[start + 1 : place - 2]
+        return batch[:start] + head + b"\x09" + number(len(rest)) + rest + batch[place + len(dummy) + 1 :]
 
     return change
 

@@ -8,7 +8,8 @@ from contextlib import ExitStack, contextmanager, suppress
 from typing import Any, final
 
 Change = Callable[[bytes], bytes | None]
-_KEEP_ALIVE_BYTES = 1  # of the batch that says only that its sender is alive
+_KEEP_ALIVE = b"\x04"  # the batch that says only that its sender is alive
+_SEGMENT, _SLOW_BUFFER = 1448, 65536  # bytes
 _HANDSHAKE = 2  # batches that a router sends before a connection is open
 
 
@@ -71,10 +72,14 @@ def changed_on_the_way(server_port: int, change: Change) -> Iterator[str]:
 
 @final
 class Cable:
-    """TCP from a port of its own to another; while it is cut, all stays where it is and nobody is told."""
+    """TCP from a port of its own to another; while it is cut, all stays where it is and nobody is told.
 
-    def __init__(self, port: int) -> None:
-        self._port = port
+    All connections share `bytes_per_s` on the way up.
+    """
+
+    def __init__(self, port: int, bytes_per_s: float = float("inf")) -> None:
+        self._port, self._bytes_per_s = port, bytes_per_s
+        self._turn, self._time = threading.Lock(), threading.Event()
         self._whole = threading.Event()
         self._whole.set()
         self._ends: list[socket.socket] = []
@@ -82,6 +87,8 @@ class Cable:
         self._count = 0
         self._silent: set[int] = set()  # connections, by their order
         self._listener = socket.create_server(("127.0.0.1", 0))
+        if bytes_per_s != float("inf"):  # or the system would hold seconds of what is to be carried slowly
+            self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _SLOW_BUFFER)
         self.endpoint = f"tcp/127.0.0.1:{self._listener.getsockname()[1]}"
         self._run(self._accept)
 
@@ -91,9 +98,9 @@ class Cable:
         yield
         self._whole.set()
 
-    def silence(self) -> None:
-        """From now on the present connections bring nothing back but signs of life."""
-        self._silent.update(range(self._count))
+    def silence(self, coming: int = 0) -> None:
+        """From now on the present connections, and the next ones, bring nothing back but signs of life."""
+        self._silent.update(range(self._count + coming))
 
     def break_off(self, *, silencing: int = 0) -> None:
         """Ends each connection; of the next that come, `silencing` bring nothing back but signs of life."""
@@ -129,8 +136,10 @@ class Cable:
 
     def _carry(self, source: socket.socket, sink: socket.socket) -> None:
         with suppress(OSError):
-            while data := source.recv(65536):
+            while data := source.recv(_SEGMENT):
                 self._whole.wait()
+                with self._turn:
+                    self._time.wait(len(data) / self._bytes_per_s)
                 sink.sendall(data)
         with suppress(OSError):
             self._whole.wait()
@@ -140,8 +149,8 @@ class Cable:
         with suppress(OSError):
             for count, batch in enumerate(_batches(source)):
                 self._whole.wait()
-                if number not in self._silent or count < _HANDSHAKE or len(batch) <= _KEEP_ALIVE_BYTES:
-                    sink.sendall(struct.pack("<H", len(batch)) + batch)
+                carried = _KEEP_ALIVE if number in self._silent and count >= _HANDSHAKE else batch
+                sink.sendall(struct.pack("<H", len(carried)) + carried)
         with suppress(OSError):
             self._whole.wait()
             sink.shutdown(socket.SHUT_WR)

@@ -81,8 +81,8 @@ def test_of_two_holders_of_a_role_one_is_told_to_give_it_up(make_peer: MakePeer)
     sessions = [transport.connect(time.monotonic() + 5.0) for transport in transports]
     pattern = live_role_key("throw", "judge", "*")
     roles = [
-        Role(session.liveliness().declare_token(key), key, session, pattern)
-        for key, session in zip(keys, sessions, strict=True)
+        Role(session.liveliness().declare_token(key), key, session, pattern, transport.session)
+        for key, session, transport in zip(keys, sessions, transports, strict=True)
     ]
     while roles[1].is_mine():
         pass  # the pytest timeout is the deadline: a declaration takes milliseconds to arrive

@@ -120,6 +120,6 @@ def _listed_endpoints(config: zenoh.Config) -> str | None:
     return ",".join(one for one in endpoints if isinstance(one, str)) or None
 
 
-def brief(error: Exception) -> str:
+def brief(error: BaseException) -> str:
     """Zenoh's message without source file names."""
     return re.sub(r"\s+at /\S+|\s*\.?\s*$", "", str(error).split("\n")[0])

@@ -7,9 +7,7 @@ first, so that the server does not count it as lost.
 
 from __future__ import annotations
 
-import random
 import re
-import time
 from collections.abc import Callable
 from functools import partial
 from typing import Final, final
@@ -19,14 +17,13 @@ import zenoh
 
 from crkr.client.lifetimes import Closing, hold, is_forked, release
 from crkr.client.network.config import brief
-from crkr.client.network.session import NotConnected, Session
-from crkr.protocol import Conflict, CrkrError, Internal, Invalid, Unavailable, live_worker_key
+from crkr.client.network.session import NotConnected, Session, declare
+from crkr.protocol import Conflict, Internal, Invalid, live_worker_key
 from crkr.protocol.keys import claim_worker_key, left_worker_key
 
 __all__ = ["Presence", "end_token", "move_token", "standing_tokens", "take_token", "withdraw_token"]
 
 _WORKER: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._:-]{0,126}")
-_PAUSE_S: Final = 0.1
 
 
 @final
@@ -62,16 +59,18 @@ class Presence(Closing):
         """
         if not isinstance(worker_id, str) or _WORKER.fullmatch(worker_id) is None:
             raise Invalid(f"a worker id is 1 to 127 of A-Z, a-z, 0-9 and ._:- ; got {worker_id!r:.200}")
-        connected = connect(deadline)
-        try:
-            while isinstance(token := _take(connected, task, worker_id, owner.connection.endpoint), CrkrError):
-                if time.monotonic() > deadline:
-                    raise token
-                owner.pause(_PAUSE_S * random.uniform(0.2, 1.0))
-            presence = cls(task, worker_id, token, connected)
-            owner.keep(presence, connected)
-        except zenoh.ZError as error:
-            raise Internal(f"the token of worker {worker_id!r} could not be declared: {brief(error)}") from error
+        key, claim = live_worker_key(task, worker_id), partial(claim_worker_key, task, worker_id)
+
+        def make(session: zenoh.Session) -> Presence | None:
+            if (token := take_token(session, key, claim)) is None:
+                return None
+            presence = cls(task, worker_id, token, session)
+            owner.keep(presence, session)
+            return presence
+
+        presence = declare(make, f"the token of worker {worker_id!r}", connect, owner, deadline)
+        if presence is None:
+            raise Conflict(f"worker id {worker_id!r} is in use on task {task!r}: give each worker its own")
         owner.close_before(presence)
         return presence
 
@@ -79,24 +78,15 @@ class Presence(Closing):
         """Announces that the worker leaves and withdraws its token; a second call does nothing."""
         end_token(self, self._tokens, self._leave, "the token could not be withdrawn")
 
-    def move(self, session: zenoh.Session) -> None:
+    def move(self, session: zenoh.Session) -> object:
         """As `Declared.move`."""
         self._session = session
-        move_token(self, self._tokens, session, live_worker_key(self._task, self.worker_id))
+        return move_token(self, self._tokens, session, live_worker_key(self._task, self.worker_id))
 
     def _leave(self, token: zenoh.LivelinessToken) -> None:
         left = self._session.liveliness().declare_token(left_worker_key(self._task, self.worker_id))
         withdraw_token(token)
         withdraw_token(left)
-
-
-def _take(session: zenoh.Session, task: str, worker_id: str, endpoint: str) -> zenoh.LivelinessToken | CrkrError:
-    """The token of a worker's id, or the error that says why it cannot be had now."""
-    try:
-        token = take_token(session, live_worker_key(task, worker_id), partial(claim_worker_key, task, worker_id))
-    except NotConnected as error:
-        return Unavailable(f"{error} at {endpoint}; is the server running?")
-    return token or Conflict(f"worker id {worker_id!r} is in use on task {task!r}: give each worker its own")
 
 
 def take_token(
@@ -135,15 +125,16 @@ def standing_tokens(session: zenoh.Session, key: str) -> set[str]:
     return {str(reply.ok.key_expr) for reply in replies if reply.ok is not None}
 
 
-def move_token(owner: object, tokens: list[zenoh.LivelinessToken], session: zenoh.Session, key: str) -> None:
-    """Declares in another session the token that `owner` holds, unless it was withdrawn."""
+def move_token(owner: object, tokens: list[zenoh.LivelinessToken], session: zenoh.Session, key: str) -> object:
+    """Declares in another session the token that `owner` holds, unless it was withdrawn; returns the former one."""
     token = session.liveliness().declare_token(key)
     try:
-        tokens[0] = token
+        former, tokens[0] = tokens[0], token
     except IndexError:
         withdraw_token(token)
-    else:
-        hold(owner, token)
+        return None
+    hold(owner, token)
+    return former
 
 
 def withdraw_token(token: zenoh.LivelinessToken) -> None:

@@ -2,25 +2,22 @@
 
 from __future__ import annotations
 
-import random
-import time
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
-from typing import Final, final
+from typing import final
 from uuid import uuid4
+from weakref import ref
 
 import zenoh
 
 from crkr.client.lifetimes import Closing, hold
-from crkr.client.network.config import brief
 from crkr.client.network.presence import end_token, move_token, standing_tokens, take_token, withdraw_token
-from crkr.client.network.session import NotConnected, Session
-from crkr.protocol import Internal, Unavailable, check_name
+from crkr.client.network.session import NotConnected, Session, declare
+from crkr.protocol import check_name
 from crkr.protocol.keys import claim_role_key, live_role_key
 
 __all__ = ["Role"]
-
-_PAUSE_S: Final = 0.1
 
 
 @final
@@ -31,9 +28,11 @@ class Role(Closing):
     all but one of them to close theirs, so work done under a role must be safe to do twice.
     """
 
-    def __init__(self, token: zenoh.LivelinessToken, key: str, session: zenoh.Session, taken: str) -> None:
+    def __init__(
+        self, token: zenoh.LivelinessToken, key: str, session: zenoh.Session, taken: str, owner: Session
+    ) -> None:
         self._tokens = [token]
-        self._key, self._session, self._taken = key, session, taken
+        self._key, self._session, self._taken, self._owner = key, session, taken, ref(owner)
         hold(self, token)
 
     @classmethod
@@ -48,33 +47,37 @@ class Role(Closing):
         """
         key_of = partial(live_role_key, task, check_name(role, "role"))
         key, taken = key_of(str(uuid4())), key_of("*")
-        connected = connect(deadline)
-        try:
-            while (token := take_token(connected, key, partial(claim_role_key, task, role), taken)) is None:
-                if standing_tokens(connected, taken) or time.monotonic() > deadline:
-                    return None
-                owner.pause(_PAUSE_S * random.uniform(0.2, 1.0))  # others claim it at this moment
-        except NotConnected as error:
-            raise Unavailable(f"{error} at {owner.connection.endpoint}; is the server running?") from error
-        except zenoh.ZError as error:
-            raise Internal(f"the role {role!r} could not be taken: {brief(error)}") from error
-        held = cls(token, key, connected, taken)
-        owner.keep(held, connected)
-        return held
+
+        def make(session: zenoh.Session) -> Role | bool | None:
+            token = take_token(session, key, partial(claim_role_key, task, role), taken)
+            if token is None:
+                return False if standing_tokens(session, taken) else None  # None: others claim it at this moment
+            held = cls(token, key, session, taken, owner)
+            owner.keep(held, session)
+            return held
+
+        held = declare(make, f"the role {role!r}", connect, owner, deadline)
+        return held if isinstance(held, Role) else None
 
     def is_mine(self) -> bool:
         """Asks whether this process is to keep the role: False where another holder is, or after `close`."""
         if not self._tokens:
             return False
-        try:
-            return min(standing_tokens(self._session, self._taken), default=self._key) >= self._key
-        except (NotConnected, zenoh.ZError):
-            return True  # unknown: keep it
+        owner = self._owner()
+        if owner is None:
+            return False
+        with suppress(zenoh.ZError):
+            try:
+                with owner.calls:
+                    return min(standing_tokens(self._session, self._taken), default=self._key) >= self._key
+            except NotConnected:
+                owner.suspect()
+        return True  # unknown: keep it
 
-    def move(self, session: zenoh.Session) -> None:
+    def move(self, session: zenoh.Session) -> object:
         """As `Declared.move`."""
         self._session = session
-        move_token(self, self._tokens, session, self._key)
+        return move_token(self, self._tokens, session, self._key)
 
     def close(self) -> None:
         """Gives the role up; a second call does nothing."""

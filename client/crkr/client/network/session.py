@@ -3,16 +3,18 @@
 Zenoh connects again by itself after a link was lost. If the time for that is over at the moment when it succeeds, Zenoh
 sends on the new connection and never reads from it: every question times out, while the router sees a client that is
 alive. A server whose Zenoh panicked may keep a connection alive and not read from it either. So the router is asked
-when questions time out, and where it does not answer, another session takes the place of this one.
+when questions time out. Where it does not answer here and answers in another session, that one takes over.
 """
 
 from __future__ import annotations
 
 import logging
+import random
 import threading
 import time
 import weakref
-from typing import Final, Protocol, final
+from collections.abc import Callable
+from typing import Final, Protocol, TypeVar, final
 from weakref import WeakSet
 
 import zenoh
@@ -20,18 +22,23 @@ import zenoh
 from crkr.client.lifetimes import check_not_forked, hold, is_forked, release
 from crkr.client.network.config import Connection, brief
 from crkr.client.network.diagnosis import Obstacle, is_deaf, obstacle
-from crkr.protocol import CrkrError, Unavailable
+from crkr.protocol import CrkrError, Internal, Unavailable
 from crkr.protocol.zenoh_files import refusing_panics
 
-__all__ = ["CallsInProgress", "Closable", "Declared", "NotConnected", "Session"]
+__all__ = ["CallsInProgress", "Closable", "Declared", "NotConnected", "Session", "declare"]
 
 _logger = logging.getLogger(__name__)
 _OPEN_S: Final = 1.0
-_LEAVE_S: Final = 1.0
+_LEAVE_S: Final = 2.0 * _OPEN_S  # Zenoh ends no attempt to open a session before its time
 _LOOK_S: Final = 0.5
 _LOOK_AGAIN_S: Final = 3.0
 _PAUSE_S: Final = 0.2  # between tries to open another session
 _ANSWERS_S: Final = 2.0  # the router itself, not the server
+_LONGEST_ANSWERS_S: Final = 60.0
+_QUIET_S: Final = 300.0  # without a replacement, after which the next one needs no more patience than the first
+_AGAIN_S: Final = 0.1  # between tries to declare something
+
+_T = TypeVar("_T")
 
 
 class NotConnected(Exception):
@@ -48,8 +55,8 @@ class Closable(Protocol):
 class Declared(Protocol):
     """Something declared in the session, as a token or a subscription."""
 
-    def move(self, session: zenoh.Session) -> None:
-        """Declares it in the session that takes the place of its own, which is closed after that."""
+    def move(self, session: zenoh.Session) -> object:
+        """Declares it in the session that takes the place of its own; returns what is to live until that is closed."""
 
 
 @final
@@ -98,16 +105,20 @@ class Session:
         self.connection: Final = connection
         self._lock = threading.RLock()  # if an interrupt leaves it held, its thread can still take it
         self._session: zenoh.Session | None = None
-        self._finalizer: weakref.finalize[[zenoh.Session, WeakSet[Closable], CallsInProgress], Session] | None = None
+        self._finalizer: weakref.finalize[..., Session] | None = None
         self.calls: Final = CallsInProgress()
         self._closed = threading.Event()
-        self._closed_before: WeakSet[Closable] = WeakSet()
+        self._closed_before: Final[WeakSet[Closable]] = WeakSet()
         self._declared: WeakSet[Declared] = WeakSet()
         self._checking: threading.Thread | None = None
+        self._patience_s, self._replaced = _ANSWERS_S, 0.0  # [s, monotonic]
         self._in_vain = False
-        self._turn = 0  # the endpoint to try first
+        self._end_other: Callable[[], object] = bool  # ends the session that may take over
+        self._turn = 0  # the endpoint to try next
         self.obstacle: Obstacle | None = None
         self._look_again = 0.0  # [s, monotonic]
+        # Made first, so called last at exit: no thread may be killed while it opens a session.
+        weakref.finalize(self, _close, None, self._closed_before, self.calls)
 
     def open(self, deadline: float) -> zenoh.Session:
         """The open session.
@@ -125,7 +136,8 @@ class Session:
             raise NotConnected("another thread is still connecting")
         try:
             self._check()
-            return self._session or self._adopt(self._connect(deadline))
+            with self.calls:
+                return self._session or self._adopt(self._connect(deadline))
         finally:
             self._lock.release()
 
@@ -155,6 +167,7 @@ class Session:
             return
         with self._lock:
             finalizer, self._finalizer, self._session = self._finalizer, None, None
+        self._end_other()
         if finalizer is not None:
             finalizer()
             release(self)
@@ -163,12 +176,12 @@ class Session:
         if self._in_vain:
             self._look(0.5 * (deadline - time.monotonic()))
         patience = min(_OPEN_S, max(0.001, deadline - time.monotonic()))
+        turn, self._turn = self._turn, (self._turn + 1) % len(self.connection.endpoints)
         try:
             with refusing_panics():
-                session = zenoh.open(self.connection.zenoh(patience, self._turn))
+                session = zenoh.open(self.connection.zenoh(patience, turn))
         except zenoh.ZError as error:
             self._in_vain = True
-            self._turn = (self._turn + 1) % len(self.connection.endpoints)
             raise NotConnected(f"cannot connect: {brief(error)}") from error
         _logger.debug("connected to %s", self.connection.endpoint)
         return session
@@ -182,42 +195,54 @@ class Session:
 
     def suspect(self) -> None:
         """Has the connection checked, by a thread of its own, unless one is about it."""
-        checking = self._checking
-        if checking is None or not checking.is_alive():
-            self._checking = threading.Thread(target=self._check_connection, name="crkr-suspicion", daemon=True)
-            try:
-                self._checking.start()
-            except RuntimeError as error:  # no more threads
-                _logger.debug("the connection to %s is not checked: %s", self.connection.endpoint, error)
+        if self._checking is not None and self._checking.is_alive():
+            return
+        checking = threading.Thread(
+            target=_check, args=(weakref.ref(self), self._closed), name="crkr-suspicion", daemon=True
+        )
+        try:
+            checking.start()
+        except RuntimeError as error:  # no more threads
+            _logger.debug("the connection to %s is not checked: %s", self.connection.endpoint, error)
+        else:
+            self._checking = checking
 
-    def _check_connection(self) -> None:
-        """Has another session take the place of one whose router does not answer, however long that takes."""
+    def check(self) -> bool:
+        """Asks the router, and has another session take over where only that one is answered; whether all is well."""
         session = self.peek()
-        while session is not None and session is self.peek():
-            try:
-                with self.calls:
-                    if not is_deaf(session, _ANSWERS_S):
-                        return
-                    self._replace(session)
-            except BaseException as error:  # a panic in the binding is a BaseException
-                _logger.debug("the connection to %s is not read from: %s", self.connection.endpoint, error)
-                self.pause(_PAUSE_S)
-
-    def _replace(self, session: zenoh.Session) -> None:
-        with self._lock:
-            if self.peek() is not session:
-                return
+        if session is None:
+            return True
+        with self.calls:
+            if time.monotonic() - self._replaced > _QUIET_S:
+                self._patience_s = _ANSWERS_S
+            if not is_deaf(session, self._patience_s):
+                return True
             fresh = self._connect(time.monotonic() + _OPEN_S)
+            self._end_other = end = weakref.finalize(self, _end, fresh)  # at exit it ends the question
+            try:
+                # Closing waits for this thread, but may have come before `end`.
+                return not self.calls.shut and not is_deaf(fresh, _ANSWERS_S) and self._replace(session, fresh, end)
+            finally:
+                end()
+
+    def _replace(self, session: zenoh.Session, fresh: zenoh.Session, end: weakref.finalize[..., Session]) -> bool:
+        """Moves everything to the other session; False if this one was closed or replaced meanwhile."""
+        with self._lock:
+            if self.peek() is not session or end.detach() is None:
+                return False
             _logger.info("the connection to %s is not read from: another session takes over", self.connection.endpoint)
+            # A question that a long message holds up looks the same: each time it may take longer.
+            self._replaced, self._patience_s = time.monotonic(), min(2.0 * self._patience_s, _LONGEST_ANSWERS_S)
             finalizer = self._finalizer
             self._adopt(fresh)
-            for one in list(self._declared):
-                try:
-                    one.move(fresh)
-                except zenoh.ZError as error:
-                    _logger.warning("not declared again: %s", brief(error))
-        if finalizer is not None and finalizer.detach() is not None:
-            session.close()  # type: ignore[no-untyped-call]  # zenoh's stub gives it no return type
+            former = [_moved(one, fresh) for one in list(self._declared)]
+        try:
+            is_deaf(fresh, _ANSWERS_S)  # once it is answered, the server knows of all that was declared before
+        finally:
+            if finalizer is not None and finalizer.detach() is not None:
+                _end(session)
+            del former
+        return True
 
     def _look(self, patience_s: float) -> None:
         """Raises `Unavailable` where another attempt cannot help; Zenoh would try until the deadline."""
@@ -238,7 +263,68 @@ class Session:
         check_not_forked()
 
 
-def _close(session: zenoh.Session, earlier: WeakSet[Closable], calls: CallsInProgress) -> None:
+def declare(
+    make: Callable[[zenoh.Session], _T | None],
+    what: str,
+    connect: Callable[[float], zenoh.Session],
+    owner: Session,
+    deadline: float,
+) -> _T | None:
+    """Declares something, again in the session that takes over, or where the router does not answer.
+
+    Args:
+        make: Declares it in a session; returns None where another try may succeed.
+        what: For messages, as "the role 'judge'".
+        connect: Gives the open session by a deadline.
+        owner: Of that session.
+        deadline: When to give up, and to return the last None [s, monotonic clock].
+
+    Raises:
+        Unavailable: No connection by the deadline.
+        Internal: Zenoh refuses.
+    """
+    while True:
+        session, failure = connect(deadline), None
+        try:
+            with owner.calls:
+                made = make(session)
+            if made is not None:
+                return made
+        except NotConnected as error:
+            owner.suspect()
+            failure = str(error)
+        except zenoh.ZError as error:
+            if not session.is_closed():
+                raise Internal(f"{what} could not be declared: {brief(error)}") from error
+            failure = "the session was closed"
+        if time.monotonic() > deadline:
+            if failure is None:
+                return None
+            raise Unavailable(f"{failure} at {owner.connection.endpoint}; is the server running?")
+        owner.pause(_AGAIN_S * random.uniform(0.2, 1.0))
+
+
+def _check(owner: weakref.ref[Session], closed: threading.Event) -> None:
+    """Has the connection checked until it is well; keeps no client alive meanwhile."""
+    while not closed.is_set() and (session := owner()) is not None:
+        try:
+            if session.check():
+                return
+        except BaseException as error:  # a panic in the binding is a BaseException
+            _logger.debug("the connection to %s is not read from: %s", session.connection.endpoint, error)
+        del session
+        closed.wait(_PAUSE_S)
+
+
+def _moved(one: Declared, session: zenoh.Session) -> object:
+    try:
+        return one.move(session)
+    except BaseException as error:  # the others are to move all the same
+        _logger.warning("not declared again: %s", brief(error))
+        return None
+
+
+def _close(session: zenoh.Session | None, earlier: WeakSet[Closable], calls: CallsInProgress) -> None:
     if is_forked():
         return
     for one in list(earlier):
@@ -247,8 +333,15 @@ def _close(session: zenoh.Session, earlier: WeakSet[Closable], calls: CallsInPro
         except CrkrError as error:
             _logger.warning("before closing the session: %s", error.message)
     calls.shut = True
+    if session is not None:
+        _end(session)
+    calls.wait_until_left()
+
+
+def _end(session: zenoh.Session) -> None:
+    if is_forked():
+        return
     try:
         session.close()  # type: ignore[no-untyped-call]  # zenoh's stub gives it no return type
     except zenoh.ZError as error:
         _logger.warning("closing the session: %s", brief(error))
-    calls.wait_until_left()

@@ -120,7 +120,13 @@ class Subscription(Closing):
         thread = threading.Thread(
             target=self._buffer.fill, args=(subscriber.handler, self._topics), name=f"crkr-{self._task}", daemon=True
         )
-        thread.start()
+        try:
+            thread.start()
+        except BaseException:  # the system has no thread left
+            with self._buffer.changed:
+                self._buffer.subscribers -= 1
+            subscriber.undeclare()  # type: ignore[no-untyped-call]  # zenoh's stub gives it no return type
+            raise
         hold(self, subscriber)
         return weakref.finalize(self, _undeclare, subscriber, thread)
 
@@ -128,7 +134,10 @@ class Subscription(Closing):
         """As `Declared.move`."""
         if self._finalizer.alive:
             self._finalizer, earlier = self._subscribe(session), self._finalizer
-            earlier()
+            if (end := earlier.detach()) is None:  # closed meanwhile
+                self.close()
+            else:
+                end[1](*end[2])
 
     @property
     def dropped(self) -> int:

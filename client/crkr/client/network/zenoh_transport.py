@@ -24,7 +24,7 @@ from crkr.client.network.config import Connection, brief
 from crkr.client.network.diagnosis import silence_of
 from crkr.client.network.presence import Presence
 from crkr.client.network.role import Role
-from crkr.client.network.session import NotConnected, Session
+from crkr.client.network.session import NotConnected, Session, declare
 from crkr.client.network.subscription import Subscription
 from crkr.client.network.trust import EVERYONE, NotTheServer, Trust
 from crkr.protocol import (
@@ -76,6 +76,7 @@ class ZenohTransport(Closing):
         self.session: Final = Session(connection)
         self._trust = Trust()
         self._found: tuple[float, str] | None = None
+        self._timeouts = 0  # of attempts since the last answer
         self._client = os.urandom(16)  # tells the server which calls come from this client
 
     @property
@@ -102,16 +103,20 @@ class ZenohTransport(Closing):
                 raise self._unavailable(key, time.monotonic() - started, attempt, reason)
             limit = remaining if patient else _LATER_ATTEMPT_S if attempt else _FIRST_ATTEMPT_S
             try:
-                return self._attempt(key, kind, payload, min(limit, remaining), patient=patient, optional=optional)
+                answer = self._attempt(key, kind, payload, min(limit, remaining), patient=patient, optional=optional)
             except _Unanswered as unanswered:
                 if attempt == 0 or limit <= remaining:  # one that the deadline cut short tells less
                     reason = unanswered.reason
                 pause = _pause(attempt) if unanswered.pause_s is None else unanswered.pause_s
                 if attempt == 0:
                     _logger.info("%s at %s: %s; trying again", key, self.endpoint, reason)
-                self.session.pause(min(pause, max(0.0, deadline - time.monotonic())))
-                if unanswered.timed_out and attempt:
+                self._timeouts = self._timeouts + 1 if unanswered.timed_out else 0
+                if self._timeouts > 1:
                     self.session.suspect()
+                self.session.pause(min(pause, max(0.0, deadline - time.monotonic())))
+            else:
+                self._timeouts = 0
+                return answer
             attempt += 1
 
     def _attempt(
@@ -161,7 +166,11 @@ class ZenohTransport(Closing):
         """Why the connected router does not answer; checked once a second."""
         now = time.monotonic()
         if self._found is None or now - self._found[0] > _LOOK_AGAIN_S:
-            self._found = now, silence_of(session, patience_s)
+            try:
+                with self.session.calls:
+                    self._found = now, silence_of(session, patience_s)
+            except NotConnected as closed:
+                return str(closed)
         return self._found[1]
 
     def _unavailable(self, key: str, tried_s: float, attempts: int, reason: str) -> Unavailable:
@@ -205,10 +214,16 @@ class ZenohTransport(Closing):
 
     def subscribe(self, task: str, topics: Sequence[str], capacity: int, deadline: float) -> Subscription:
         """As `Transport.subscribe`."""
-        session = self.connect(deadline)
-        subscription = Subscription(session, task, topics, capacity)
-        self.session.keep(subscription, session)
-        return subscription
+
+        def make(session: zenoh.Session) -> Subscription:
+            subscription = Subscription(session, task, topics, capacity)
+            self.session.keep(subscription, session)
+            return subscription
+
+        what = f"the subscription to task {task!r}"
+        if (made := declare(make, what, self.connect, self.session, deadline)) is None:
+            raise Internal(f"{what} could not be declared")
+        return made
 
     def announce(self, task: str, worker_id: str, deadline: float) -> Presence:
         """As `Transport.announce`."""

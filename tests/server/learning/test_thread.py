@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any
@@ -30,6 +31,13 @@ def learning() -> Iterator[Learning]:
 
 def task(name: str) -> ServedTask:
     return ServedTask(TaskSpec.from_dict({"name": name, "state": AXIS, "goal": AXIS}))
+
+
+def spend(seconds: float) -> None:
+    """Keep the calling thread at work that long."""
+    until = time.monotonic() + seconds
+    while time.monotonic() < until:
+        pass
 
 
 def configured(seq: int) -> Event:
@@ -127,6 +135,23 @@ def test_a_change_to_a_long_log_leaves_the_other_tasks_a_thread(learning: Learni
     learning.start()
     learning.submit(other, configured(2), lambda *_: learned.set())
     assert told.wait(PATIENCE_S)
+
+
+def test_a_question_between_long_steps_does_not_bring_them_before_those_of_other_tasks(learning: Learning) -> None:
+    long, threads = task("long"), list[str]()
+    told = threading.Semaphore(0)
+
+    def note(_result: Any, _failure: Exception | None) -> None:
+        threads.append(threading.current_thread().name)
+        if len(threads) == 1:
+            spend(0.06)
+        told.release()
+
+    learning.start()
+    for entries in (configured(2), (), configured(3)):  # the second, as an explanation of a sample
+        learning.submit(long, entries, note)
+        assert told.acquire(timeout=PATIENCE_S)
+    assert threads == ["learning", "long learning", "long learning"]
 
 
 def test_a_task_that_cannot_learn_stops_alone_and_its_thread_goes_on(learning: Learning) -> None:

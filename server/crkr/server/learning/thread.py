@@ -61,7 +61,7 @@ class _Line:
         self.trials = self.asked = 0  # in the waiting steps
         self.hurried = False  # the waiting steps do not wait for others
         self.held = False  # a thread works on an earlier step
-        self.long = False  # the last step was
+        self.long = False  # the last step with entries was
 
     def rest_s(self) -> float:
         """How long the waiting steps wait for others [s]."""
@@ -223,7 +223,9 @@ class Learning:
         try:
             self._apply(group)
         finally:
-            self._give_back(line, time.monotonic() - started > _LONG_S)
+            took_s = time.monotonic() - started
+            tells = any(step.entries for step in group)  # a question alone is quick whatever the next step takes
+            self._give_back(line, took_s > _LONG_S if tells else line.long)
         return True
 
     def _take(self, turns: _WaitingTasks) -> tuple[_Line, list[_Step]] | None:

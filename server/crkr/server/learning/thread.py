@@ -13,14 +13,13 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import partial
 from typing import Any, Final, final
 
 from crkr.learner import Learner, Model
 from crkr.protocol import Internal
+from crkr.server.learning.lines import Line, Step, WaitingTasks, size, worker
 from crkr.server.learning.tasks import ServedTask, apply_entries
 from crkr.server.log import Event, LoggedTrial
 from crkr.server.metrics.durations import Durations
@@ -33,70 +32,8 @@ logger = logging.getLogger(__name__)
 
 Notice = Callable[[ServedTask, Model, Model], None]
 
-_MOST_TRIALS: Final = 64  # trials of a group, which makes one new model
 _PACE_S: Final = 0.05  # from one step to the next, where several report
 _LONG_S: Final = 0.05  # a step this long moves its task to the second thread
-_LONG_LOG: Final = 5000  # entries from which on an event may take as long
-
-
-@final
-@dataclass(frozen=True, slots=True)
-class _Step:
-    """Entries of one task, and the callback for when its model includes them."""
-
-    task: ServedTask
-    entries: Sequence[LoggedTrial] | Event
-    done: Callable[[Any, Exception | None], None] | None
-
-
-@final
-class _Line:
-    """Waiting steps of one task, in log order."""
-
-    __slots__ = ("asked", "held", "hurried", "long", "steps", "task", "trials")
-
-    def __init__(self, task: ServedTask) -> None:
-        self.task = task
-        self.steps: deque[_Step] = deque()
-        self.trials = self.asked = 0  # in the waiting steps
-        self.hurried = False  # the waiting steps do not wait for others
-        self.held = False  # a thread works on an earlier step
-        self.long = False  # the last step with entries was
-
-    def rest_s(self) -> float:
-        """How long the waiting steps wait for others [s]."""
-        return 0.0 if self.hurried else self.task.rests[0] - time.monotonic()
-
-    def hurries(self, step: _Step) -> bool:
-        """Whether a new step and all before it are to be learned at once."""
-        if step.done is not None or isinstance(step.entries, Event) or self.trials >= _MOST_TRIALS:
-            return True
-        return _worker(step) == self.task.rests[1]  # nobody else reports
-
-    @property
-    def slow(self) -> bool:
-        """Whether the next step will probably be long."""
-        prepared = self.task.model.explorer.prepare()  # if not, the step first computes what a restart left out
-        return self.long or not prepared or (isinstance(self.steps[0].entries, Event) and self.task.seq > _LONG_LOG)
-
-
-@final
-class _WaitingTasks:
-    """The tasks that wait for one thread, the next one first."""
-
-    __slots__ = ("changed", "lines")
-
-    def __init__(self, lock: threading.Lock) -> None:
-        self.lines: deque[_Line] = deque()
-        self.changed = threading.Condition(lock)
-
-    def next(self, hurried: bool) -> _Line | None:
-        """The first task whose steps wait for no others, or with `hurried` the first of all."""
-        return next((line for line in self.lines if hurried or line.rest_s() <= 0.0), None)
-
-    def rest_s(self) -> float | None:
-        """How long until there is one [s]; None: no task waits."""
-        return min((max(line.rest_s(), 0.0) for line in self.lines), default=None)
 
 
 @final
@@ -126,9 +63,9 @@ class Learning:
         self.steps: Final = Durations("crkr_learning_step_duration_seconds", text)
         self._notice, self._due, self._drifted, self._relearn = notice, due, drifted, relearn
         self._pace_s = pace_s
-        self._lines: dict[ServedTask, _Line] = {}  # of the tasks that have waiting steps, are held, or were long
+        self._lines: dict[ServedTask, Line] = {}  # of the tasks that have waiting steps, are held, or were long
         self._lock = threading.Lock()
-        self._turns = (_WaitingTasks(self._lock), _WaitingTasks(self._lock))  # of the first thread, and of the second
+        self._turns = (WaitingTasks(self._lock), WaitingTasks(self._lock))  # of the first thread, and of the second
         self._closing = self._closed = False
         self._deadline = 0.0  # on the monotonic clock, of what is done while closing
         self._backlog = self._asked = 0
@@ -157,6 +94,12 @@ class Learning:
         line = self._lines.get(task)
         return (0, 0) if line is None else (line.trials, line.asked)
 
+    def waiting_tasks(self) -> tuple[int, int]:
+        """Numbers of the tasks with trials that wait to be learned, and of those with steps that requests wait for."""
+        with self._lock:
+            lines = self._lines.values()
+            return sum(line.trials > 0 for line in lines), sum(line.asked > 0 for line in lines)
+
     def submit(
         self,
         task: ServedTask,
@@ -175,15 +118,12 @@ class Learning:
             if not self._closed:
                 line = self._lines.get(task)
                 if line is None:
-                    line = self._lines[task] = _Line(task)
-                step, hurried = _Step(task, entries, done), line.hurried
-                line.steps.append(step)
-                line.trials += _size(entries)
-                line.hurried = hurried or line.hurries(step)
-                line.asked += done is not None
-                self._backlog += _size(entries)
+                    line = self._lines[task] = Line(task)
+                idle, hurried = not line.groups and not line.held, line.hurried
+                line.add(Step(task, entries, done))
+                self._backlog += size(entries)
                 self._asked += done is not None
-                if len(line.steps) == 1 and not line.held:
+                if idle:
                     self._line_up(line)
                 elif line.hurried and not hurried:
                     self._wake()
@@ -204,7 +144,7 @@ class Learning:
             if thread.is_alive():
                 thread.join(max(0.0, until - time.monotonic()))
         with self._lock:
-            left = [step for line in self._lines.values() for step in line.steps]
+            left = [step for line in self._lines.values() for group in line.groups for step in group]
             self._lines.clear()
             self._asked = 0
             self._closed = True
@@ -213,7 +153,7 @@ class Learning:
                 step.done(None, shutting_down())
         return not any(thread.is_alive() for thread in self._threads)
 
-    def _step(self, turns: _WaitingTasks) -> bool:
+    def _step(self, turns: WaitingTasks) -> bool:
         """One step of the next task; False at the end."""
         taken = self._take(turns)
         if taken is None:
@@ -228,7 +168,7 @@ class Learning:
             self._give_back(line, took_s > _LONG_S if tells else line.long)
         return True
 
-    def _take(self, turns: _WaitingTasks) -> tuple[_Line, list[_Step]] | None:
+    def _take(self, turns: WaitingTasks) -> tuple[Line, list[Step]] | None:
         """The next step of the next task, joined with the trials right behind it; None at the end."""
         with self._lock:
             while not self._over():
@@ -239,40 +179,31 @@ class Learning:
                 return None
             turns.lines.remove(line)
             line.held = True
-            steps = line.steps
-            group = [steps.popleft()]
-            count = _size(group[0].entries)
-            while steps and _joins(group[-1], steps[0]) and count < _MOST_TRIALS:
-                group.append(steps.popleft())
-                count += _size(group[-1].entries)
-            line.hurried = bool(steps)
-            line.task.rests = time.monotonic() + self._pace_s, _worker(group[-1])
-            asked = sum(step.done is not None for step in group)
-            line.trials -= count
-            line.asked -= asked
-            self._backlog -= count
-            self._asked -= asked
+            trials, asked = line.trials, line.asked
+            group = line.take()
+            line.task.rests = time.monotonic() + self._pace_s, worker(group[-1])
+            self._backlog -= trials - line.trials
+            self._asked -= asked - line.asked
             return line, group
 
     def _over(self) -> bool:
         """Whether to stop: closing, and no request waits any more or the deadline has passed."""
         if not self._closing:
             return False
-        waited_for = any(step.done is not None for line in self._lines.values() for step in line.steps)
-        return time.monotonic() >= self._deadline or not waited_for
+        return time.monotonic() >= self._deadline or not self._asked
 
-    def _give_back(self, line: _Line, long: bool) -> None:
+    def _give_back(self, line: Line, long: bool) -> None:
         """End a turn: the task moves behind all others."""
         with self._lock:
             line.held, line.long = False, long
-            if line.steps:
+            if line.groups:
                 self._line_up(line)
             elif not long:
                 self._lines.pop(line.task, None)
             if self._closing:
                 self._wake()
 
-    def _line_up(self, line: _Line) -> None:
+    def _line_up(self, line: Line) -> None:
         turns = self._turns[line.slow]
         turns.lines.append(line)
         turns.changed.notify()
@@ -281,7 +212,7 @@ class Learning:
         for turns in self._turns:
             turns.changed.notify_all()
 
-    def _apply(self, group: list[_Step]) -> None:
+    def _apply(self, group: list[Step]) -> None:
         task, before = group[0].task, group[0].task.model
         result, failure = None, None
         try:
@@ -310,7 +241,7 @@ class Learning:
 
 def _learn(
     task: ServedTask,
-    group: list[_Step],
+    group: list[Step],
     steps: Durations,
     relearn: Callable[[ServedTask, Event], Learner] | None,
 ) -> Any:
@@ -330,17 +261,3 @@ def _learn(
         if isinstance(entries, Event) and entries.kind == "restart":
             task.restarting = False
     return result
-
-
-def _size(entries: Sequence[LoggedTrial] | Event) -> int:
-    return 0 if isinstance(entries, Event) else len(entries)
-
-
-def _worker(step: _Step) -> str | None:
-    """The worker of the last trial of a step."""
-    return None if isinstance(step.entries, Event) or not step.entries else step.entries[-1].trial.worker
-
-
-def _joins(step: _Step, following: _Step) -> bool:
-    events = isinstance(step.entries, Event) or isinstance(following.entries, Event)
-    return step.task is following.task and not events

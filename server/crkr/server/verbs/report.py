@@ -13,7 +13,6 @@ from dataclasses import replace
 from typing import Any, Final, final
 
 from crkr.protocol import (
-    Busy,
     Conflict,
     CrkrError,
     Invalid,
@@ -30,12 +29,12 @@ from crkr.protocol import (
 from crkr.server.learning.restore import batches
 from crkr.server.learning.tasks import ServedTask, Tasks
 from crkr.server.learning.thread import Learning
-from crkr.server.learning.waits import Waits
 from crkr.server.log import Event, PendingReport, Stored, TaskLog
 from crkr.server.metrics.durations import Durations
 from crkr.server.queries.queue import busy
 from crkr.server.queries.request import Job, Request
 from crkr.server.verbs.admin import Change, moved, read_change, refuse_unknown
+from crkr.server.verbs.limits import Limits
 from crkr.server.verbs.rollback import read_rollback
 from crkr.server.verbs.undo import read_undo
 from crkr.server.workers import Workers
@@ -49,11 +48,6 @@ _BY_LOG: Final = {"undo": read_undo, "rollback": read_rollback}  # verbs that lo
 _ATTEMPTS: Final = 8  # at a change whose task is changed meanwhile
 _WHERE: Final = frozenset({"rename", "delete"})  # changes of a task's place, not of its learning
 _KNOWN_BEFORE: Final = _WHERE | {"archive", "fit"}  # only the learner knows the effect of other changes
-_MOST_BACKLOG: Final = 20_000  # committed trials of a task that wait to be learned
-_MOST_BACKLOG_OF_ALL: Final = 100_000  # of all tasks, so that a slow task leaves room for others
-_MOST_ASKED: Final = 1024  # waiting steps of a task; a commit may exceed it
-_MOST_ASKED_OF_ALL: Final = 4096
-_MOST_HELD_BYTES: Final = 64 * 2**20  # of the requests that wait
 
 
 @final
@@ -63,8 +57,7 @@ class Writer:
     def __init__(self, log: TaskLog, tasks: Tasks, workers: Workers, learning: Learning) -> None:
         self.commits: Final = Durations("crkr_commit_duration_seconds", "Durable commits to the task log.")
         self._log, self._tasks, self._workers, self._learning = log, tasks, workers, learning
-        self._held_bytes, self._holding = 0, threading.Lock()
-        self._waits = Waits()
+        self._limits = Limits(learning)
         self._order = threading.Lock()  # from a commit until its entries are queued for learning
 
     def change(self, requests: list[Request]) -> None:
@@ -113,24 +106,11 @@ class Writer:
     def _decode(self, request: Request) -> tuple[ServedTask, ReportRequest]:
         task = self._tasks.get(request.task)
         refuse_archived(task)
-        own, everyones = self._learning.waiting(task)[0], self._learning.backlog
-        if own > _MOST_BACKLOG or everyones > _MOST_BACKLOG_OF_ALL:
-            raise Busy(f"{max(own, everyones)} trials wait to be learned from; ask again later", retry_ms=500)
+        self._limits.refuse_trials(task)
         asked = ReportRequest.from_wire(request.message(), task.created)
         if asked.wait:  # also for duplicates, which add nothing to the backlog
-            self._refuse_when_full(request, task)
+            self._limits.refuse_waiting(request, task)
         return task, asked
-
-    def _refuse_when_full(self, request: Request, task: ServedTask) -> None:
-        full = self._held_bytes and self._held_bytes + request.size > _MOST_HELD_BYTES
-        waiting = self._learning.waiting(task)[1] >= _MOST_ASKED or self._learning.asked >= _MOST_ASKED_OF_ALL
-        if full or waiting or self._waits.too_long(task.name):
-            raise busy(request.verb)
-
-    def _hold(self, request: Job, sign: int = 1) -> None:
-        """Add the memory of a request that learning will answer; sign -1 subtracts it."""
-        with self._holding:
-            self._held_bytes += sign * request.size
 
     def _acknowledge(
         self, request: Request, task: ServedTask, asked: ReportRequest, result: Stored | Conflict | ShuttingDown
@@ -148,14 +128,10 @@ class Writer:
             fresh = len(result.fresh)
             receipt = Receipt(fresh, len(result.seqs) - fresh, result.seqs, task.model.version)
             stored = isinstance(failure, ShuttingDown)  # only the version lags behind
-            if request.held:
-                self._hold(request, -1)
             _settle(request, None if stored else failure, receipt.to_wire())
 
         if asked.wait:
-            request.held = True
-            self._hold(request)
-            self._learning.submit(task, result.fresh, self._waits.timed(task.name, reply))
+            self._learning.submit(task, result.fresh, self._limits.hold(request, task, reply))
             return
         reply()
         if result.fresh:
@@ -223,7 +199,7 @@ class Writer:
             request.reply(moved(before))
             return
         task = self._tasks.get(request.task)
-        self._refuse_when_full(request, task)
+        self._limits.refuse_waiting(request, task)
         if request.verb in _BY_LOG:
             self._agree(task, lambda: _BY_LOG[request.verb](message, task, self._log.reads), request)
         else:
@@ -321,13 +297,10 @@ class Writer:
         def answer(result: Any, failure: Exception | None) -> None:
             if isinstance(failure, ShuttingDown) and change.kind in _KNOWN_BEFORE:
                 failure = None  # it is stored; only the version lags behind
-            self._hold(request, -1)
             found = {} if failure else change.answer(task, result)
             _settle(request, failure, {**found, "seq": seq, "model_version": task.model.version})
 
-        request.held = True
-        self._hold(request)
-        self._learning.submit(task, event, self._waits.timed(task.name, answer))
+        self._learning.submit(task, event, self._limits.hold(request, task, answer))
 
 
 def _settle(request: Job, failure: Exception | None, message: Mapping[str, Any]) -> None:

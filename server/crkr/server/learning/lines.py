@@ -32,7 +32,7 @@ class Step:
 class Line:
     """Waiting steps of one task, in log order. Trials right behind each other are a group, which is learned at once."""
 
-    __slots__ = ("_newest", "asked", "groups", "held", "hurried", "long", "task", "trials")
+    __slots__ = ("_newest", "asked", "groups", "held", "hurried", "lined", "long", "task", "trials")
 
     def __init__(self, task: ServedTask) -> None:
         self.task = task
@@ -41,11 +41,12 @@ class Line:
         self.trials = self.asked = 0  # in the waiting steps
         self.hurried = False  # the waiting steps do not wait for others
         self.held = False  # a thread works on an earlier step
+        self.lined = False  # the task waits for a thread
         self.long = False  # the last step with entries was
 
     def add(self, step: Step) -> None:
-        """Put a step at the end."""
-        count = size(step.entries)
+        """Put a step at the end. If this raises, nothing is changed."""
+        count, hurried = size(step.entries), self.hurried or self._hurries(step)
         if self.groups and self._newest < _MOST_TRIALS and _joins(self.groups[-1][-1], step):
             self.groups[-1].append(step)
             self._newest += count
@@ -54,7 +55,7 @@ class Line:
             self._newest = count
         self.trials += count
         self.asked += step.done is not None
-        self.hurried = self.hurried or self._hurries(step)
+        self.hurried = hurried
 
     def take(self) -> list[Step]:
         """Remove the first group."""
@@ -70,7 +71,7 @@ class Line:
 
     def _hurries(self, step: Step) -> bool:
         """Whether a new step and all before it are to be learned at once."""
-        if step.done is not None or isinstance(step.entries, Event) or self.trials >= _MOST_TRIALS:
+        if step.done is not None or isinstance(step.entries, Event) or self.trials + len(step.entries) >= _MOST_TRIALS:
             return True
         return worker(step) == self.task.rests[1]  # nobody else reports
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
@@ -13,8 +14,11 @@ import numpy as np
 from crkr.learner import Advice, Learner, Model, TrialColumns, advise
 from crkr.protocol import KINDS, Internal, ShuttingDown, TaskSpec, UnknownTask, pack, task_id
 from crkr.server.log import Corrections, Event, LoggedTrial
+from crkr.server.thread_faults import FAULTS
 
 __all__ = ["ServedTask", "Tasks", "apply_entries", "hyperparameters"]
+
+logger = logging.getLogger(__name__)
 
 _MOST_NAMED: Final = 20  # tasks that an error names
 _RETRY_MS: Final = 100
@@ -25,8 +29,8 @@ class ServedTask:
     """A task in service.
 
     The writer changes `seq`, `agreed`, `changed`, `configured`, `archived` and the counts at a commit. The learning
-    thread changes `learner`, `model`, `spec`, `eligible` and `fault`. `model` is replaced as a whole: readers need no
-    lock.
+    thread changes `learner`, `model`, `spec` and `eligible`. Either notes a `fault`. `model` is replaced as a whole:
+    readers need no lock.
 
     Attributes:
         created: The specification as created.
@@ -137,6 +141,14 @@ class ServedTask:
         elif entry.kind == "delete":
             self.deleted = True
 
+    def note_all(self, entries: Sequence[LoggedTrial | Event]) -> None:
+        """Count committed entries that are to be learned; learning stops if that fails."""
+        try:
+            for entry in entries:
+                self.note(entry)
+        except BaseException as error:
+            self.stop_learning(error)
+
     def note_columns(self, columns: TrialColumns) -> None:
         """Count committed trials."""
         self.seq = int(columns.seqs[-1])
@@ -146,6 +158,16 @@ class ServedTask:
     def advice(self) -> list[Advice]:
         """What limits learning, and what to do about it; computed at each call in some 0.1 ms."""
         return advise(self.spec, self.history, self.drift, self.eligible, self.model.active)
+
+    def stop_learning(self, error: BaseException) -> Internal:
+        """Note the first fault, after which nothing is learned until a restart; returns the answer to who waits."""
+        if not isinstance(error, Exception):  # also a panic: only this task stops
+            FAULTS.note(error)
+        if not self.fault:
+            self.fault = type(error).__name__  # first, as what follows takes memory
+            self.fault = f"{type(error).__name__}: {error}"
+            logger.error("task %r stops learning after log position %s", self.name, self.model.version, exc_info=error)
+        return Internal(f"task {self.name!r} stores trials but learns no more until a restart: {self.fault}")
 
     def publish(self) -> None:
         """Let the learner's present model answer predictions."""

@@ -10,7 +10,6 @@ for each other a little, as one step for all of them costs less.
 
 from __future__ import annotations
 
-import logging
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -27,8 +26,6 @@ from crkr.server.queries.queue import shutting_down
 from crkr.server.thread_faults import FAULTS, keep_running
 
 __all__ = ["Learning", "Notice"]
-
-logger = logging.getLogger(__name__)
 
 Notice = Callable[[ServedTask, Model, Model], None]
 
@@ -106,7 +103,7 @@ class Learning:
         entries: Sequence[LoggedTrial] | Event = (),
         done: Callable[[Any, Exception | None], None] | None = None,
     ) -> None:
-        """Queue entries, in log order.
+        """Queue entries, in log order. If that fails, their task learns no more, as those behind them need them.
 
         Args:
             task: Their task.
@@ -114,22 +111,32 @@ class Learning:
             done: Called with the learner's result and the error once the model includes them. The error is `Internal`
                 for a fault in learning, or `ShuttingDown`, on the closing thread, if the server ends first.
         """
+        failure: Exception | None = None
+        try:
+            if not self._queue(Step(task, entries, done)):
+                failure = shutting_down()
+        except BaseException as error:
+            failure = task.stop_learning(error) if entries else Internal(f"nothing can be queued: {error!r}")
+        if failure is not None and done is not None:
+            done(None, failure)
+
+    def _queue(self, step: Step) -> bool:
+        """Put a step into its task's line; False after the end."""
         with self._lock:
-            if not self._closed:
-                line = self._lines.get(task)
-                if line is None:
-                    line = self._lines[task] = Line(task)
-                idle, hurried = not line.groups and not line.held, line.hurried
-                line.add(Step(task, entries, done))
-                self._backlog += size(entries)
-                self._asked += done is not None
-                if idle:
-                    self._line_up(line)
-                elif line.hurried and not hurried:
-                    self._wake()
-                return
-        if done is not None:
-            done(None, shutting_down())
+            if self._closed:
+                return False
+            line = self._lines.get(step.task)
+            if line is None:
+                line = self._lines[step.task] = Line(step.task)
+            hurried = line.hurried
+            line.add(step)
+            self._backlog += size(step.entries)
+            self._asked += step.done is not None
+            if not line.held and not line.lined:
+                self._line_up(line)
+            elif line.hurried and not hurried:
+                self._wake()
+            return True
 
     def close(self, patience_s: float) -> bool:
         """Stop once no request waits, after `patience_s` / 2 at the latest; then those left get `ShuttingDown`.
@@ -178,7 +185,7 @@ class Learning:
             else:
                 return None
             turns.lines.remove(line)
-            line.held = True
+            line.held, line.lined = True, False
             trials, asked = line.trials, line.asked
             group = line.take()
             line.task.rests = time.monotonic() + self._pace_s, worker(group[-1])
@@ -206,6 +213,7 @@ class Learning:
     def _line_up(self, line: Line) -> None:
         turns = self._turns[line.slow]
         turns.lines.append(line)
+        line.lined = True
         turns.changed.notify()
 
     def _wake(self) -> None:
@@ -218,12 +226,7 @@ class Learning:
         try:
             result = _learn(task, group, self.steps, self._relearn)
         except BaseException as error:  # also a panic or exhausted memory: only this task stops
-            if not isinstance(error, Exception):
-                FAULTS.note(error)
-            if not task.fault:
-                logger.exception("task %r stops learning after log position %s", task.name, before.version)
-            task.fault = task.fault or f"{type(error).__name__}: {error}"
-            failure = Internal(f"task {task.name!r} stores trials but learns no more until a restart: {task.fault}")
+            failure = task.stop_learning(error)
         for step in group:
             if step.done is not None:
                 try:

@@ -68,16 +68,22 @@ class Limits:
     def hold(
         self, request: Job, task: ServedTask, done: Callable[[Any, Exception | None], None]
     ) -> Callable[[Any, Exception | None], None]:
-        """Count a request that learning will answer, until the returned callback, which calls `done`, runs."""
+        """Count a request that learning will answer, until the returned callback, which calls `done` once, runs."""
 
         def ended(result: Any, failure: Exception | None) -> None:
             self._add(request.task, -request.size)
             done(result, failure)
 
-        timed = self._waits.timed(task.name, ended)
+        left = [self._waits.timed(task.name, ended)]
+
+        def once(result: Any, failure: Exception | None) -> None:
+            timed = left.pop() if left else None
+            if timed is not None:
+                timed(result, failure)
+
         request.held = True
         self._add(request.task, request.size)
-        return timed
+        return once
 
     def _add(self, task: str, size: int) -> None:
         with self._holding:

@@ -33,6 +33,7 @@ from crkr.server.log import Event, PendingReport, Stored, TaskLog
 from crkr.server.metrics.durations import Durations
 from crkr.server.queries.queue import busy
 from crkr.server.queries.request import Job, Request
+from crkr.server.thread_faults import FAULTS
 from crkr.server.verbs.admin import Change, moved, read_change, refuse_unknown
 from crkr.server.verbs.limits import Limits
 from crkr.server.verbs.rollback import read_rollback
@@ -101,7 +102,10 @@ class Writer:
                 request.fail(error)
             return
         for (request, task, asked), result in zip(decoded, results, strict=True):
-            self._acknowledge(request, task, asked, result)
+            try:
+                self._acknowledge(request, task, asked, result)
+            except BaseException as error:  # it is stored and queued, and those behind it are to be
+                _tell(request, error)
 
     def _decode(self, request: Request) -> tuple[ServedTask, ReportRequest]:
         task = self._tasks.get(request.task)
@@ -118,8 +122,18 @@ class Writer:
         if not isinstance(result, Stored):
             request.fail(result)
             return
-        for entry in result.fresh:
-            task.note(entry)
+        task.note_all(result.fresh)
+        done = None
+        try:
+            done = self._answer(request, task, asked, result)
+        finally:  # it is stored
+            if result.fresh or done is not None:
+                self._learning.submit(task, result.fresh, done)
+
+    def _answer(
+        self, request: Request, task: ServedTask, asked: ReportRequest, result: Stored
+    ) -> Callable[[Any, Exception | None], None] | None:
+        """Answer a report before the learning thread wakes, which would delay it, or return how learning answers it."""
         for trial in asked.trials:
             if trial.worker is not None:
                 self._workers.reported(task.name, trial.worker, (trial.id.bytes,))
@@ -131,11 +145,9 @@ class Writer:
             _settle(request, None if stored else failure, receipt.to_wire())
 
         if asked.wait:
-            self._learning.submit(task, result.fresh, self._limits.hold(request, task, reply))
-            return
+            return self._limits.hold(request, task, reply)
         reply()
-        if result.fresh:
-            self._learning.submit(task, result.fresh)
+        return None
 
     def _create(self, request: Request) -> None:
         spec = TaskSpec.from_dict(request.message())
@@ -188,8 +200,7 @@ class Writer:
         for name, entries in self._log.recover():
             task = self._tasks.look(name)
             for batch in batches(entries, MOST_REPORTS):
-                for entry in [batch] if isinstance(batch, Event) else batch:
-                    task.note(entry)
+                task.note_all([batch] if isinstance(batch, Event) else batch)
                 self._learning.submit(task, batch)
 
     def _change(self, request: Request) -> None:
@@ -257,9 +268,9 @@ class Writer:
                 logger.warning("the restart of task %s's outcome model was not stored: %s", task.name, error.message)
                 task.restarting = False
                 return
-            task.note(event)
+            task.note_all([event])
+            self._learning.submit(task, event)
             logger.warning("task %s: the robot has changed; the outcome model restarts at %d", task.name, event.seq)
-            self._learning.submit(task, event, None)
 
     def _commit_change(self, task: ServedTask, change: Change, body: Mapping[str, Any] | None, request: Job) -> None:
         if task.archived and change.kind == "archive":  # a repeat, perhaps because the answer was lost
@@ -275,11 +286,13 @@ class Writer:
         with self.commits.timing():
             event = self._log.append_event(task.name, change.kind, body)
         name = task.name
-        task.note(event)
+        task.note_all([event])
+        try:
+            if change.kind in _WHERE:
+                self._tasks.move(name, event)
+        finally:  # it is stored
+            self._await(task, event, event.seq, change, request)
         logger.info("%s of task %s at log position %d", change.kind, name, event.seq)
-        if change.kind in _WHERE:
-            self._tasks.move(name, event)
-        self._await(task, event, event.seq, change, request)
 
     def _refuse_in_use(self, task: ServedTask, change: Change) -> None:
         """Raise `Conflict` for a task with workers, or whose new name is taken."""
@@ -300,7 +313,19 @@ class Writer:
             found = {} if failure else change.answer(task, result)
             _settle(request, failure, {**found, "seq": seq, "model_version": task.model.version})
 
-        self._learning.submit(task, event, self._limits.hold(request, task, answer))
+        done = None
+        try:
+            done = self._limits.hold(request, task, answer)
+        finally:
+            self._learning.submit(task, event, done)
+
+
+def _tell(request: Request, error: BaseException) -> None:
+    """Answer with the error, or not at all if that fails too: others are to be answered."""
+    try:
+        request.fail_unexpectedly(error)
+    except BaseException as fault:
+        FAULTS.note(fault)
 
 
 def _settle(request: Job, failure: Exception | None, message: Mapping[str, Any]) -> None:

@@ -244,6 +244,8 @@ class Server:
 
     def _fit_when_due(self, task: ServedTask) -> None:
         """Queue a due fit. Learning calls this after every step until the fit begins."""
+        if self._learning.is_behind(task):
+            return  # so that other tasks' fits do not wait for it
         due = self._due.get(task.name)
         if due is None or due.answered:
             self._due[task.name] = DueFit(task.name)

@@ -18,7 +18,7 @@ from crkr.protocol import Busy, CrkrError, Internal, ShuttingDown, Unsupported
 from crkr.server.installed_code import InstalledCode
 from crkr.server.learning.tasks import ServedTask, Tasks
 from crkr.server.learning.thread import Learning
-from crkr.server.queries.queue import shutting_down
+from crkr.server.queries.queue import busy, shutting_down
 from crkr.server.queries.request import Job, Request
 from crkr.server.verbs.admin import Change
 from crkr.server.verbs.report import Writer, refuse_archived
@@ -85,6 +85,8 @@ class Fitting:
                 job.message()
             refuse_archived(task)
             configured = task.configured
+            if self._learning.is_behind(task):
+                raise busy(job.verb)
             result = self._fit(self._problem(task))
             found = _fields(result)
             if not result.accepted:

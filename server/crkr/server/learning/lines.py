@@ -12,9 +12,10 @@ from typing import Any, Final, final
 from crkr.server.learning.tasks import ServedTask
 from crkr.server.log import Event, LoggedTrial
 
-__all__ = ["Line", "Step", "WaitingTasks", "size", "worker"]
+__all__ = ["Line", "Step", "WaitingTasks", "size"]
 
 _MOST_TRIALS: Final = 64  # trials of a group, which makes one new model
+_WEIGHT: Final = 0.25  # weight of the newest time in the mean
 _LONG_LOG: Final = 5000  # entries from which on an event may take as long as a long step
 
 
@@ -32,12 +33,18 @@ class Step:
 class Line:
     """Waiting steps of one task, in log order. Trials right behind each other are a group, which is learned at once."""
 
-    __slots__ = ("_newest", "asked", "groups", "held", "hurried", "lined", "long", "task", "trials")
+    __slots__ = (
+        *("_newest", "_turn_s", "asked", "batches", "groups", "held"),
+        *("hurried", "lined", "long", "since", "task", "trials"),
+    )
 
     def __init__(self, task: ServedTask) -> None:
         self.task = task
         self.groups: deque[list[Step]] = deque()
         self._newest = 0  # trials of the last group
+        self._turn_s: float | None = None  # mean time of a group with trials, other tasks' turns before it included
+        self.batches = 0  # waiting groups with trials
+        self.since = 0.0  # when the first group, or the one that is learned, began to wait for a thread [s, monotonic]
         self.trials = self.asked = 0  # in the waiting steps
         self.hurried = False  # the waiting steps do not wait for others
         self.held = False  # a thread works on an earlier step
@@ -49,21 +56,37 @@ class Line:
         count, hurried = size(step.entries), self.hurried or self._hurries(step)
         if self.groups and self._newest < _MOST_TRIALS and _joins(self.groups[-1][-1], step):
             self.groups[-1].append(step)
+            self.batches += count > 0 and not self._newest
             self._newest += count
         else:
             self.groups.append([step])
+            self.batches += count > 0
             self._newest = count
         self.trials += count
         self.asked += step.done is not None
         self.hurried = hurried
 
-    def take(self) -> list[Step]:
-        """Remove the first group."""
+    def take(self, pace_s: float) -> list[Step]:
+        """Remove the first group; the next one waits for others until `pace_s` from now, unless it is hurried."""
+        now = time.monotonic()
+        self.since = min(now, max(self.since, self.task.rests[0]))  # what it waited for others is no delay
         group = self.groups.popleft()
-        self.trials -= sum(size(step.entries) for step in group)
+        count = sum(size(step.entries) for step in group)
+        self.trials -= count
+        self.batches -= count > 0
         self.asked -= sum(step.done is not None for step in group)
         self.hurried = bool(self.groups)
+        self.task.rests = now + pace_s, _worker(group[-1])
         return group
+
+    def note_turn(self) -> None:
+        """Note how long a group with trials took, which is learned now."""
+        seconds, known = time.monotonic() - self.since, self._turn_s
+        self._turn_s = seconds if known is None else known + _WEIGHT * (seconds - known)
+
+    def wait_s(self) -> float:
+        """How long a new step waits for the trials before it [s]; 0 where those are one group, which it may join."""
+        return max(self.batches - 1, 0) * (self._turn_s or 0.0)
 
     def rest_s(self) -> float:
         """How long the waiting steps wait for others [s]."""
@@ -73,7 +96,7 @@ class Line:
         """Whether a new step and all before it are to be learned at once."""
         if step.done is not None or isinstance(step.entries, Event) or self.trials + len(step.entries) >= _MOST_TRIALS:
             return True
-        return worker(step) == self.task.rests[1]  # nobody else reports
+        return _worker(step) == self.task.rests[1]  # nobody else reports
 
     @property
     def slow(self) -> bool:
@@ -107,7 +130,7 @@ def size(entries: Sequence[LoggedTrial] | Event) -> int:
     return 0 if isinstance(entries, Event) else len(entries)
 
 
-def worker(step: Step) -> str | None:
+def _worker(step: Step) -> str | None:
     """The worker of the last trial of a step."""
     return None if isinstance(step.entries, Event) or not step.entries else step.entries[-1].trial.worker
 

@@ -18,8 +18,9 @@ from typing import Any, Final, final
 
 from crkr.learner import Learner, Model
 from crkr.protocol import Internal
-from crkr.server.learning.lines import Line, Step, WaitingTasks, size, worker
+from crkr.server.learning.lines import Line, Step, WaitingTasks, size
 from crkr.server.learning.tasks import ServedTask, apply_entries
+from crkr.server.learning.waits import LONGEST_S
 from crkr.server.log import Event, LoggedTrial
 from crkr.server.metrics.durations import Durations
 from crkr.server.queries.queue import shutting_down
@@ -97,6 +98,11 @@ class Learning:
             lines = self._lines.values()
             return sum(line.trials > 0 for line in lines), sum(line.asked > 0 for line in lines)
 
+    def is_behind(self, task: ServedTask) -> bool:
+        """Whether a request would wait too long for the trials before it, also those that nobody waits for."""
+        line = self._lines.get(task)
+        return line is not None and line.wait_s() > LONGEST_S
+
     def submit(
         self,
         task: ServedTask,
@@ -172,6 +178,8 @@ class Learning:
         finally:
             took_s = time.monotonic() - started
             tells = any(step.entries for step in group)  # a question alone is quick whatever the next step takes
+            if any(size(step.entries) for step in group):
+                line.note_turn()
             self._give_back(line, took_s > _LONG_S if tells else line.long)
         return True
 
@@ -187,8 +195,7 @@ class Learning:
             turns.lines.remove(line)
             line.held, line.lined = True, False
             trials, asked = line.trials, line.asked
-            group = line.take()
-            line.task.rests = time.monotonic() + self._pace_s, worker(group[-1])
+            group = line.take(self._pace_s)
             self._backlog -= trials - line.trials
             self._asked -= asked - line.asked
             return line, group
@@ -212,6 +219,7 @@ class Learning:
 
     def _line_up(self, line: Line) -> None:
         turns = self._turns[line.slow]
+        line.since = time.monotonic()
         turns.lines.append(line)
         line.lined = True
         turns.changed.notify()

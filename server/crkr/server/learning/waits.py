@@ -1,7 +1,7 @@
 """Estimates how long a request waits for its task to learn, from earlier requests.
 
 Their number alone is not enough: a thousand reports are learned in a moment, a thousand changes of a long task in a
-minute, longer than any client waits.
+minute, longer than any client waits. Trials that nobody waits for are no requests: a task's `Line` counts those.
 """
 
 from __future__ import annotations
@@ -11,9 +11,9 @@ import time
 from collections.abc import Callable
 from typing import Any, Final, final
 
-__all__ = ["Waits"]
+__all__ = ["LONGEST_S", "Waits"]
 
-_LONGEST_S: Final = 2.0  # an ordinary call gives up after 5 s
+LONGEST_S: Final = 2.0  # an ordinary call gives up after 5 s
 _FEW: Final = 8  # requests that may always wait, or a task with long steps would accept none
 _UNTRIED: Final = 64  # requests that may wait before the first answer
 _WEIGHT: Final = 0.25  # weight of the newest time in the mean
@@ -49,7 +49,7 @@ class Waits:
             wait = self._of.get(task)
             if wait is None or wait.count < _FEW:
                 return False
-            return wait.count >= _UNTRIED if wait.each_s is None else wait.count * wait.each_s > _LONGEST_S
+            return wait.count >= _UNTRIED if wait.each_s is None else wait.count * wait.each_s > LONGEST_S
 
     def timed(
         self, task: str, done: Callable[[Any, Exception | None], None]

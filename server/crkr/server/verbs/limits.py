@@ -54,7 +54,8 @@ class Limits:
         asked, everyones = self._learning.waiting(task)[1] + 1, self._learning.asked + 1
         tasks = self._learning.waiting_tasks()[1] if everyones > _MOST_ASKED_OF_ALL else 0
         many = asked > _MOST_ASKED or _beyond_share(asked, everyones, _MOST_ASKED_OF_ALL, tasks, _FEW_ASKED)
-        if many or self._holds_too_much(request) or self._waits.too_long(task.name):
+        slow = self._learning.is_behind(task) or self._waits.too_long(task.name)
+        if slow or many or self._holds_too_much(request):
             raise busy(request.verb)
 
     def _holds_too_much(self, request: Job) -> bool:

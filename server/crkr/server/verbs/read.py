@@ -256,7 +256,7 @@ class Reader:
             except BaseException as error:
                 request.fail_unexpectedly(error)
 
-        if self._learning.waiting(task)[1] >= _MOST_ASKED:
+        if self._learning.is_behind(task) or self._learning.waiting(task)[1] >= _MOST_ASKED:
             raise busy(request.verb)
         request.held = True
         self._learning.submit(task, (), answer)  # only the learner knows a sample's status

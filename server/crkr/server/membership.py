@@ -28,6 +28,7 @@ from crkr.server.learning.tasks import ServedTask, Tasks
 from crkr.server.log import DELETED
 from crkr.server.log.postgres.lease import LEASE_S, Member, Roster, TaskRow
 from crkr.server.log.postgres.log import PostgresLog
+from crkr.server.queries.refusals import Refuser
 from crkr.server.queries.request import Request
 from crkr.server.thread_faults import keep_running
 
@@ -59,6 +60,7 @@ class Membership:
         self._hand_over: Callable[[str, Callable[[ServedTask], None]], None] = lambda *_: None
         self._ready: Callable[[ServedTask], None] = lambda _: None
         self._entry: Callable[[ServedTask], bytes] = lambda _: b""
+        self._refuser = Refuser()
         self._news, self._stopped = threading.Event(), threading.Event()
         self._serving: Sequence[Member] = ()
         self._epoch = -1  # epoch of the roster for which the tasks were read
@@ -118,6 +120,7 @@ class Membership:
         hand_over: Callable[[str, Callable[[ServedTask], None]], None],
         ready: Callable[[ServedTask], None],
         entry: Callable[[ServedTask], bytes],
+        refuser: Refuser,
     ) -> None:
         """Start to take tasks and to hand them over.
 
@@ -125,8 +128,9 @@ class Membership:
             hand_over: Takes a task out of service, and calls back once it is learned.
             ready: Called before it is handed over.
             entry: Describes a task as `tasks` lists it.
+            refuser: Answers requests for unknown tasks.
         """
-        self._hand_over, self._ready, self._entry = hand_over, ready, entry
+        self._hand_over, self._ready, self._entry, self._refuser = hand_over, ready, entry, refuser
         self._thread.start()
 
     def stop(self, patience_s: float) -> None:
@@ -137,14 +141,17 @@ class Membership:
             self._thread.join(patience_s)
 
     def look_up(self, request: Request) -> bool:
-        """Whether a request for an unknown task waits for a look at the log; not if this server is alone."""
+        """Whether a request for an unknown task waits for a look at the log; not if this server is alone.
+
+        Raises:
+            ShuttingDown: Too many wait already.
+        """
         if len(self._serving) == 1:
             return False
-        if len(self._unknown) < _MOST_UNKNOWN:
-            self._unknown.append(request)
-            self._news.set()
-        else:
-            request.let_go()
+        if len(self._unknown) >= _MOST_UNKNOWN:
+            raise ShuttingDown("too many questions about unknown tasks wait already: ask again")
+        self._unknown.append(request)
+        self._news.set()
         return True
 
     def _note_token(self, sample: zenoh.Sample) -> None:
@@ -198,14 +205,23 @@ class Membership:
         return rows
 
     def _refuse(self, request: Request) -> None:
-        """Answers that a task is unknown if the log does not have it; else its server answers."""
+        """Answers that a task is unknown if the log does not have it; else its server answers.
+
+        Another thread sends it, because a client that does not read must not hold up this one.
+        """
+        answer: CrkrError = ShuttingDown("it is served by now")
         try:
             (self._tasks.look_back if request.scope == "admin" else self._tasks.look)(request.task)
-        except UnknownTask as error:
-            request.fail(error)
-        except ShuttingDown:
-            pass
-        request.let_go()  # it is asked again
+        except (ShuttingDown, UnknownTask) as error:
+            answer = error
+
+        def tell(error: CrkrError) -> None:
+            if isinstance(error, UnknownTask):
+                request.fail(error)
+            request.let_go()  # it is asked again
+
+        if not self._refuser.add(tell, answer, request.held_bytes()):
+            request.let_go()
 
     def _share_out(self, rows: Sequence[TaskRow]) -> None:
         """Take this server's share of the free tasks, or hand over its surplus."""

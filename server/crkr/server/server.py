@@ -211,7 +211,7 @@ class Server:
             except BaseException:
                 self.close()
                 raise
-            self._membership.start(self._writer.hand_over, self._radii.finish, task_entry)
+            self._membership.start(self._writer.hand_over, self._radii.finish, task_entry, self._refuser)
         for intake in self._intakes:
             intake.start()
         self._workers.watch(self._session)

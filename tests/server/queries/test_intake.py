@@ -1,13 +1,17 @@
 """The intake takes what came before its thread did, and what comes after its session was opened again."""
 
 from collections.abc import Callable
+from typing import Any
 
+import msgpack
 import pytest
 import zenoh
+from processes import Processes
 
-from crkr.protocol import task_key
+from crkr.protocol import ShuttingDown, UnknownTask, pack, task_key
 from crkr.server.metrics.durations import Latencies
 from crkr.server.queries.intake import Intake
+from crkr.server.queries.queue import Lane
 from crkr.server.queries.refusals import Refuser
 from crkr.server.queries.request import Request
 from crkr.server.session import open_session
@@ -87,3 +91,77 @@ def test_a_large_attachment_is_refused(free_port: int, plain: Callable[[str], ze
             taken.append(replies.recv().ok is not None)
         assert taken == [False, True]
         refuser.close(PATIENCE_S)
+
+
+def check(task: str) -> None:
+    if task == "elsewhere":
+        raise ShuttingDown("another server serves it")
+    if task == "nobody":
+        raise UnknownTask("no task of that name")
+
+
+def ask_again(_: Request) -> bool:
+    raise ShuttingDown("too many ask already")
+
+
+@pytest.mark.parametrize(("task", "count"), [("reach", 4), ("elsewhere", 1), ("nobody", 1)])
+def test_what_is_not_answered_is_dropped_with_the_answers_where_another_thread_may_take_over(
+    task: str, count: int, free_port: int, plain: Callable[[str], zenoh.Session], processes: Processes
+) -> None:
+    endpoint, seen = f"tcp/127.0.0.1:{free_port}", list[str]()
+    asked = pack({"trial_ids": [bytes(16)], "states": [[0.1, 0.2]] * 1000})  # too large to be answered at once
+    with open_session(endpoint, None) as session:
+        lane = Lane[Request]("bulk", {"predict": 10}, lambda _: None, joins=True)
+        intake = Intake(
+            session, task_key("*", "*"), {"predict": lane}, Latencies(), Refuser(), answer, check, ask_again
+        )
+        asking, first, last = plain(endpoint), task_key(task, "predict"), task_key("other", "predict")
+
+        def told(name: str) -> Any:  # on the connection's one thread, so in the order in which it was sent
+            return zenoh.handlers.Callback(lambda _: None, lambda: seen.append(name), indirect=False)
+
+        for number in range(count):
+            asking.get(first, told(f"dropped {number}"), payload=asked, timeout=10 * PATIENCE_S)
+        asking.get(last, told("answered"), payload=b"\x80", timeout=PATIENCE_S)
+        behind = session.declare_queryable("behind", lambda query: query.reply("behind", b""))
+        assert list(asking.get("behind", timeout=PATIENCE_S))  # all are in the channel, hence taken in one round
+        intake.start()
+        processes.wait_until(lambda: len(seen) == 2)
+        assert seen == ["answered", f"dropped {1 if count > 1 else 0}"]  # of the repeats, the two newest may be waiting
+        lane.close(PATIENCE_S)
+        assert behind is not None
+
+
+def test_one_request_that_cannot_be_handed_over_is_told_so_and_the_others_are_handed_over(
+    free_port: int, plain: Callable[[str], zenoh.Session]
+) -> None:
+    endpoint, checked = f"tcp/127.0.0.1:{free_port}", list[str]()
+
+    def check_once(task: str) -> None:
+        checked.append(task)
+        if task == "odd" and checked.count(task) > 1:
+            raise MemoryError
+
+    def leave(requests: list[Request]) -> list[Request]:
+        for request in requests:
+            request.patient = True
+        return requests
+
+    def work(requests: list[Request]) -> None:
+        answer(requests)
+
+    with open_session(endpoint, None) as session:
+        lane = Lane[Request]("bulk", {"predict": 10}, work)
+        intake = Intake(session, task_key("*", "*"), {"predict": lane}, Latencies(), Refuser(), leave, check_once)
+        asking = plain(endpoint)
+        asked = {task: question(asking, task) for task in ("odd", "even", "reach")}
+        behind = session.declare_queryable("behind", lambda query: query.reply("behind", b""))
+        assert list(asking.get("behind", timeout=PATIENCE_S))
+        lane.start()
+        intake.start()
+        replies = {task: waiting.recv() for task, waiting in asked.items()}
+        assert [task for task, reply in replies.items() if reply.ok is None] == ["odd"]
+        assert replies["odd"].err is not None
+        assert msgpack.unpackb(replies["odd"].err.payload.to_bytes())["code"] == "INTERNAL"
+        lane.close(PATIENCE_S)
+        assert behind is not None

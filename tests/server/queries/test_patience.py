@@ -165,6 +165,22 @@ def test_a_repeat_of_a_question_is_answered_with_the_first_and_worked_at_once_on
     lane.close(5.0)
 
 
+def test_an_earlier_repeat_is_handed_back_and_not_dropped_by_the_lane(asking: Asking) -> None:
+    lane = Lane[Request]("repeats", {"predict": 10}, done, joins=True)
+    asked = [asking(message={"states": [[0.1, 0.2]], "trial_ids": [bytes(16)]}) for _ in range(5)]
+    handed_back: list[Request] = []
+    for request, _ in asked:
+        assert lane.offer(request, handed_back.append) is None
+    assert handed_back == [request for request, _ in asked[1:3]]
+    assert not any(request.answered for request in handed_back)
+    lane.start()
+    for _, replies in [asked[0], *asked[3:]]:
+        assert code(replies) is None
+    for request in handed_back:
+        request.let_go()
+    lane.close(5.0)
+
+
 def test_one_client_has_a_part_of_a_lane_only(asking: Asking) -> None:
     lane = Lane[Request]("shared", {"predict": 40}, done, fair=True)
     asked = [asking(client=b"a" * 16) for _ in range(12)]

@@ -11,6 +11,7 @@ from __future__ import annotations
 import logging
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from functools import partial
 from typing import Any, Final, final
 
@@ -23,7 +24,7 @@ from crkr.server.queries.queue import Lane, busy, shutting_down
 from crkr.server.queries.refusals import Refuser
 from crkr.server.queries.request import Request, held_bytes, let_go, refuse
 from crkr.server.queries.standby_thread import StandbyThread
-from crkr.server.thread_faults import FAULTS, keep_running
+from crkr.server.thread_faults import keep_running, run_once
 
 __all__ = ["Intake"]
 
@@ -57,7 +58,8 @@ class Intake:
             the others for the next round. None: this key has no predictions.
         check_task: Raises `UnknownTask` for a task that is not served, so that its requests take no turns, and
             `ShuttingDown` for a task of another server. None: not checked here.
-        ask_again: Called with a request for an unknown task; returns whether it will be answered elsewhere.
+        ask_again: Called with a request for an unknown task; returns whether it will be answered elsewhere. Raises
+            `ShuttingDown` if the request is to be dropped, so that its client asks again.
     """
 
     def __init__(
@@ -73,7 +75,8 @@ class Intake:
     ) -> None:
         self._lanes, self._latencies, self._refuser, self._predict = lanes, latencies, refuser, predict
         self._check_task, self._ask_again = check_task, ask_again
-        self._surplus: deque[Callable[[], None]] = deque()  # drops queries whose refusals have no room
+        # Drops queries that are not answered. That sends something too, hence may block, and is done with the answers.
+        self._surplus: deque[Callable[[], None]] = deque()
         self._stopping = False
         self._key = key
         self._source = self._declare(session)
@@ -105,7 +108,7 @@ class Intake:
     def _round(self, turn: int, source: _Source) -> bool:
         """Receive queries and answer predictions; False if another thread took over or the session is closed."""
         try:
-            if not source.waiting:
+            if not (source.waiting or self._surplus):
                 self._route(source.queries.recv(), source)
             self._drain(source)
         except zenoh.ZError:  # the session is closed
@@ -132,23 +135,31 @@ class Intake:
             self._thread.begin(turn)
             if batch and self._predict is not None:
                 left = self._predict(batch)
-            while self._surplus:
-                self._surplus.popleft()()
         except BaseException as error:
             for request in batch:
                 request.fail_unexpectedly(error)
+        self._drop_surplus()
         on_duty = self._thread.end(turn)
-        if not left:
-            return on_duty
-        try:
-            if on_duty:
-                source.waiting.put_back([request for request in left if not request.patient])
-            for request in left:
-                if request.patient or not on_duty:
+        if left and on_duty:
+            source.waiting.put_back([request for request in left if not request.patient])
+        for request in left:
+            if request.patient or not on_duty:
+                try:
                     self._hand_over(request)
-        except BaseException as error:
-            FAULTS.note(error)
+                except BaseException as error:  # the others are handed over
+                    self._surplus.append(partial(request.fail_unexpectedly, error))
+        if not on_duty:  # the thread that took over may wait for its next query
+            self._drop_surplus()
         return on_duty
+
+    def _drop_surplus(self) -> None:
+        """Drop what waits for it; may block."""
+        for _ in range(len(self._surplus)):
+            with suppress(IndexError):  # a thread that took over, or was replaced, drops some of it too
+                run_once(self._surplus.popleft())
+
+    def _drop(self, request: Request) -> None:
+        self._surplus.append(request.let_go)
 
     def _route(self, query: zenoh.Query, source: _Source) -> None:
         """Answer or queue any query; never raises."""
@@ -175,7 +186,7 @@ class Intake:
 
     def _refuse(self, request: Request, error: CrkrError) -> None:
         if not self._refuser.add(request.fail, error, request.held_bytes()):
-            self._surplus.append(request.let_go)
+            self._drop(request)
 
     def _wait(self, request: Request, waiting: RoundRobin) -> None:
         if self._is_served(request) and not waiting.add(request):
@@ -188,21 +199,22 @@ class Intake:
             self._refuse(request, self._unknown(request.verb))
         elif self._is_served(request):
             request.read_metadata()
-            refusal = lane.offer(request)
+            refusal = lane.offer(request, self._drop)
             if refusal is not None:
                 self._refuse(request, refusal)
 
     def _is_served(self, request: Request) -> bool:
         """Whether the task is served; if not, refuses the request, or drops it if another server answers."""
         try:
-            if self._check_task is not None:
-                self._check_task(request.task)
+            try:
+                if self._check_task is not None:
+                    self._check_task(request.task)
+            except UnknownTask as error:
+                if not self._ask_again(request):
+                    self._refuse(request, error)
+                return False
         except ShuttingDown:
-            request.let_go()
-            return False
-        except UnknownTask as error:
-            if not self._ask_again(request):
-                self._refuse(request, error)
+            self._drop(request)
             return False
         return True
 

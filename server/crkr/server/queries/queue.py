@@ -91,27 +91,36 @@ class Lane(Generic[_Job]):
         """Start to work."""
         self._thread.start()
 
-    def offer(self, request: _Job) -> CrkrError | None:
-        """Queue a request, or return a refusal for the caller to send."""
+    def offer(self, request: _Job, drop: Callable[[Request], object] = Request.let_go) -> CrkrError | None:
+        """Queue a request, or return a refusal for the caller to send.
+
+        Args:
+            request: The request.
+            drop: Called with an earlier repeat of the question that is not answered any more. Dropping it may block.
+        """
         question = request if self._joins and isinstance(request, Request) else None
+        over: Request | None = None
         if question is not None:
             question.identify()
         with self._lock:
+            known = None
             if question is not None and question.fingerprint is not None:
                 known = self._asked.get(question.fingerprint)
-                if known is not None:
-                    known.join(question)
-                    return None
-            full = self._is_full(request)
-            if full or self._closing:
-                return busy(request.verb) if full else shutting_down()
-            if question is not None and question.fingerprint is not None:
-                self._asked[question.fingerprint] = question
-            self._count(request, 1)
-            self._queue.append(request)
-            ring, self._asleep = self._asleep, False
+            if question is not None and known is not None:
+                over, ring = known.join(question), False
+            else:
+                full = self._is_full(request)
+                if full or self._closing:
+                    return busy(request.verb) if full else shutting_down()
+                if question is not None and question.fingerprint is not None:
+                    self._asked[question.fingerprint] = question
+                self._count(request, 1)
+                self._queue.append(request)
+                ring, self._asleep = self._asleep, False
         if ring:
             self._bell.release()
+        if over is not None:
+            drop(over)
         return None
 
     def _is_full(self, request: _Job) -> bool:

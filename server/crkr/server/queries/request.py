@@ -191,14 +191,17 @@ class Request:
                 if _IDS in payload:
                     self.fingerprint = self.verb, self.task, blake2b(payload, digest_size=16).digest()
 
-    def join(self, repeat: Request) -> None:
-        """Answer a repeat together with this request; the client has given up the earlier attempt."""
+    def join(self, repeat: Request) -> Request | None:
+        """Answer a repeat together with this request; the client has given up the earlier attempt.
+
+        Returns:
+            An earlier repeat that is not answered any more, for the caller to drop.
+        """
         if self._repeats is None:
             self._repeats = deque()
         self._repeats.append(repeat)
         self.deadline = max(self.deadline, repeat.deadline)
-        while len(self._repeats) > _REPEATS:
-            self._repeats.popleft().let_go()
+        return self._repeats.popleft() if len(self._repeats) > _REPEATS else None
 
     def answer_repeats(self) -> None:
         """Answer the joined repeats as this request was answered."""
@@ -210,7 +213,7 @@ class Request:
                 repeat.fail(self._outcome)
 
     def let_go(self) -> None:
-        """Drop the query unanswered, because its client is gone."""
+        """Drop the query unanswered, because its client is gone. May block, as a reply does."""
         if not self.answered:
             self.answered = True
             let_go(self._query)
@@ -286,7 +289,7 @@ def refuse(query: zenoh.Query, error: CrkrError) -> None:
 
 
 def let_go(query: zenoh.Query) -> None:
-    """Drop a query unanswered."""
+    """Drop a query unanswered. Zenoh then sends that there is no answer, and waits for a client that does not read."""
     try:
         query.drop()  # type: ignore[no-untyped-call]  # zenoh's stub lacks the type
     except zenoh.ZError as failure:

@@ -173,9 +173,10 @@ class PrequentialRecord:
 
 @final
 class DeferredCalibration:
-    """A calibration that is computed when it is needed, as after a restart.
+    """A calibration that is computed when it is needed, as after a restart; for any thread.
 
-    Threads that call `get` at the same moment may all compute it, with the same result.
+    No thread sees a calibration by some of the trials only. Threads that call `get` at the same moment may all compute
+    it, with the same result.
 
     Args:
         settings: The task's `exploration`.
@@ -190,8 +191,11 @@ class DeferredCalibration:
     ) -> None:
         self._settings, self._scales, self._filling, self._count = settings, scales, filling, count
         self._steps = steps
-        self._record, self._noted = self._empty(), 0
+        # The record of the first trials and their number, until a thread takes it to add more; taken by one at a time.
+        self._begun = deque([(self._empty(), 0)])
         self._made: tuple[PrequentialRecord, Calibration] | None = None
+        if not steps:
+            self._finished()
 
     def get(self) -> Calibration:
         """The calibration."""
@@ -202,12 +206,13 @@ class DeferredCalibration:
         return self._finished()[0]
 
     def advance(self, trials: int) -> bool:
-        """Add at most `trials` more trials; True once all are added. For one thread at a time."""
-        if self._made is None:
-            first, self._noted = self._noted, min(self._noted + trials, len(self._steps))
-            self._record.extend(self._steps[first : self._noted])
-            if self._noted == len(self._steps):
-                self._made = self._record, self._record.calibration
+        """Add at most `trials` more trials, none while another thread adds some; True once all are added."""
+        if self._made is None and trials:
+            try:
+                record, first = self._begun.pop()
+            except IndexError:  # another thread has taken it
+                return False
+            self._add(record, first, min(first + trials, len(self._steps)))
         return self._made is not None
 
     def _finished(self) -> tuple[PrequentialRecord, Calibration]:
@@ -217,6 +222,17 @@ class DeferredCalibration:
             record.extend(self._steps)
             made = self._made = record, record.calibration
         return made
+
+    def _add(self, record: PrequentialRecord, first: int, last: int) -> None:
+        try:
+            record.extend(self._steps[first:last])
+        except BaseException:  # a trial may be added in part
+            self._begun.append((self._empty(), 0))
+            raise
+        if last < len(self._steps):
+            self._begun.append((record, last))
+        else:
+            self._made = record, record.calibration
 
     def _empty(self) -> PrequentialRecord:
         return PrequentialRecord(self._settings, self._scales, self._filling, self._count)

@@ -13,6 +13,7 @@ import threading
 from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from typing import Any, Final, final
 
 from crkr.protocol import Unavailable
@@ -113,10 +114,10 @@ def keep_running(step: Callable[[], bool]) -> None:
             FAULTS.note(error)
             failures += 1
             if failures > 1 and not sys.is_finalizing():
-                pause.wait(min(_LONGEST_PAUSE_S, 0.001 * 2.0 ** min(failures, 20)))
+                run_once(partial(pause.wait, min(_LONGEST_PAUSE_S, 0.001 * 2.0 ** min(failures, 20))))
 
 
-def run_once(work: Callable[[], None]) -> None:
+def run_once(work: Callable[[], object]) -> None:
     """Call `work` once and record an error; for the body of a thread with one task."""
     try:
         work()

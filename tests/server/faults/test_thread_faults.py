@@ -59,6 +59,29 @@ def test_a_thread_goes_on_whatever_is_raised_and_each_fault_is_counted() -> None
     assert faults("steps") == before + 2 * len(RAISED)
 
 
+def test_a_thread_goes_on_after_an_error_in_the_pause_between_its_failures(monkeypatch: pytest.MonkeyPatch) -> None:
+    class ShortOfMemory(threading.Event):
+        def wait(self, timeout: float | None = None) -> bool:
+            if timeout is not None and threading.current_thread().name == "short":
+                raise MemoryError
+            return super().wait(timeout)
+
+    steps: list[BaseException | None] = [ValueError(), ValueError(), ValueError(), None]
+
+    def step() -> bool:
+        if (error := steps.pop(0)) is not None:
+            raise error
+        return False
+
+    monkeypatch.setattr(threading, "Event", ShortOfMemory)
+    before = faults("short")
+    thread = threading.Thread(target=keep_running, args=(step,), name="short", daemon=True)
+    thread.start()
+    thread.join(PATIENCE_S)
+    assert not steps
+    assert faults("short") == before + 3 + 2  # the first failure is followed by no pause
+
+
 def test_what_has_one_thing_to_do_is_counted_too() -> None:
     def work() -> None:
         raise Panic

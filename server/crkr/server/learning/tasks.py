@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import logging
+import threading
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from itertools import islice
 from typing import Any, Final, final
 from uuid import UUID
 
@@ -189,16 +191,18 @@ def hyperparameters(model: Model) -> dict[str, Any]:
 class Tasks:
     """All tasks of the log by name: those served here, and the names of those served elsewhere.
 
-    The writer changes the tasks, and `note_names` the names. Lists of entries are copied atomically, so that an
-    addition cannot interfere.
+    The writer changes the tasks, and membership adds to them and notes the names, each as a whole. Readers need no
+    lock: dictionaries are copied atomically.
 
     Attributes:
         creates: Whether this server creates new tasks.
     """
 
     def __init__(self, moves: Iterable[Event] = ()) -> None:
+        self._lock = threading.Lock()  # of every change
         self._by_name: dict[str, ServedTask] = {}
-        self._listed: dict[str, None] = {}  # of the log, in order; empty where no other server serves
+        # Names of the log, in order, with those served here; empty where no other server serves.
+        self._listed: dict[str, None] = {}
         self.creates = True
         self._moves: dict[tuple[str, str, bytes], Event] = {}
         self._former: set[str] = set()
@@ -206,15 +210,19 @@ class Tasks:
 
     def add(self, task: ServedTask) -> None:
         """Put a task into service."""
-        self._by_name[task.name] = task
+        with self._lock:
+            self._by_name[task.name] = task
+            if self._listed:
+                self._listed[task.name] = None
 
     def move(self, before: str, event: Event) -> None:
         """Rename a task in its place, or take it out of service."""
         named = {before: event.body["name"] if event.kind == "rename" else None}
-        found = [(named.get(key, key), task) for key, task in self._by_name.items()]
-        self._by_name = {key: task for key, task in found if key is not None}
-        listed = (named.get(key, key) for key in self._listed)
-        self._listed = {key: None for key in listed if key is not None}
+        with self._lock:
+            found = [(named.get(key, key), task) for key, task in self._by_name.items()]
+            self._by_name = {key: task for key, task in found if key is not None}
+            listed = (named.get(key, key) for key in self._listed)
+            self._listed = {key: None for key in listed if key is not None}
         self.note_moves([event])
 
     def note_moves(self, moves: Iterable[Event]) -> None:
@@ -230,13 +238,16 @@ class Tasks:
 
     def leave(self, name: str) -> None:
         """Take a task out of service that another server will serve."""
-        listed = self._listed or dict.fromkeys(self._by_name)
-        self._by_name = {key: task for key, task in self._by_name.items() if key != name}
-        self._listed = {**listed, name: None}
+        with self._lock:
+            listed = self._listed or dict.fromkeys(self._by_name)
+            self._listed = {**listed, name: None}  # first, so that one of both always knows it
+            self._by_name = {key: task for key, task in self._by_name.items() if key != name}
 
     def note_names(self, names: Iterable[str]) -> None:
-        """Note the names of all tasks of the log, oldest first."""
-        self._listed = dict.fromkeys(names)
+        """Note the names of all tasks of the log, oldest first; none if no other server serves."""
+        listed = dict.fromkeys(names)
+        with self._lock:
+            self._listed = {**listed, **dict.fromkeys(self._by_name)} if listed else listed
 
     def is_elsewhere(self, name: str) -> bool:
         """Whether another server serves the task, or will soon."""
@@ -244,7 +255,7 @@ class Tasks:
 
     def names(self) -> list[str]:
         """Names of all tasks, oldest first."""
-        return list({**self._listed, **dict.fromkeys(self._by_name)})
+        return list(self._listed or self._by_name)
 
     def find(self, name: str) -> ServedTask | None:
         """The task, or None; raises `Internal` for one that could not be restored."""
@@ -278,8 +289,8 @@ class Tasks:
         if task is None and self.is_elsewhere(name):
             raise ShuttingDown(f"another server serves task {name!r}: ask again", retry_ms=_RETRY_MS)
         if task is None:
-            names = self.names()
-            known = ", ".join(names[:_MOST_NAMED]) or "none yet"
+            names = self._listed or self._by_name
+            known = ", ".join(list(islice(names, _MOST_NAMED))) or "none yet"
             more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
             raise UnknownTask(
                 f"no task {name!r} here; there are: {known}{more}; crkr create makes one", details={"task": name}
@@ -295,7 +306,7 @@ class Tasks:
         return name in self._by_name
 
     def __len__(self) -> int:
-        return len(self.names()) if self._listed else len(self._by_name)
+        return len(self._listed or self._by_name)
 
     def page(self, after: int, limit: int) -> tuple[list[str], int | None]:
         """At most `limit` names past the first `after`, oldest first, and the next `after` (None at the end)."""

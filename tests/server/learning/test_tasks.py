@@ -1,0 +1,96 @@
+"""The tasks in service: looked up in the same time however many there are, and changed by any thread."""
+
+from __future__ import annotations
+
+import sys
+import threading
+import tracemalloc
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from crkr.protocol import ShuttingDown, TaskSpec, UnknownTask
+from crkr.server.learning.tasks import ServedTask, Tasks
+from crkr.server.log import Event
+
+PATIENCE_S = 60.0
+MANY = 20_000
+
+
+def made(name: str) -> ServedTask:
+    entry: dict[str, Any] = {"name": "x", "low": -1.0, "high": 1.0}
+    return ServedTask(TaskSpec.from_dict({"name": name, "state": [entry], "goal": [{**entry, "scale": 1.0}]}))
+
+
+def moved(before: str, after: str | None) -> Event:
+    body = {"was": before} if after is None else {"was": before, "name": after}
+    return Event(2, 0.0, "delete" if after is None else "rename", body)
+
+
+@pytest.fixture
+def quick_switches() -> Iterator[None]:
+    """Threads take turns after a few instructions, as they may on a busy machine."""
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    yield
+    sys.setswitchinterval(before)
+
+
+@pytest.mark.parametrize("served", [0, 2])
+def test_an_unknown_name_costs_no_memory_for_each_task(served: int) -> None:
+    tasks = Tasks()
+    for number in range(served):
+        tasks.add(made(f"task-{number}"))
+    tasks.note_names(f"task-{number}" for number in range(MANY))
+    tracemalloc.start()
+    try:
+        with pytest.raises(UnknownTask, match=f"task-0, task-1, .*task-19 and {MANY - 20} more"):
+            tasks.look("nobody")
+        assert tracemalloc.get_traced_memory()[1] < MANY  # a list of all would take eight times as much
+    finally:
+        tracemalloc.stop()
+    assert len(tasks) == MANY
+
+
+def test_tasks_served_here_and_elsewhere_are_listed_once_and_in_order() -> None:
+    tasks = Tasks()
+    for name in ("a", "b"):
+        tasks.add(made(name))
+    assert tasks.names() == ["a", "b"]
+    tasks.note_names(["a", "c"])
+    tasks.add(made("d"))
+    assert tasks.names() == ["a", "c", "b", "d"]
+    tasks.move("b", moved("b", "e"))
+    tasks.move("d", moved("d", None))
+    assert (tasks.names(), len(tasks)) == (["a", "c", "e"], 3)
+    tasks.leave("a")
+    for name in ("a", "c"):
+        with pytest.raises(ShuttingDown):
+            tasks.look(name)
+    assert [task.name for task in tasks.all()] == ["b"]  # renamed by its own thread later
+    tasks.note_names(())
+    assert tasks.names() == ["e"]
+
+
+def test_a_task_that_is_taken_while_another_is_renamed_is_served(quick_switches: None) -> None:
+    tasks, taken, over = Tasks(), [made(f"task-{number}") for number in range(2000)], threading.Event()
+    tasks.add(made("0"))
+    tasks.note_names(["0"])
+
+    def rename() -> None:
+        number = 0
+        while not over.is_set():
+            tasks.move(str(number), moved(str(number), str(number + 1)))
+            number += 1
+
+    renaming = threading.Thread(target=rename)
+    renaming.start()
+    try:
+        for task in taken:
+            tasks.add(task)
+    finally:
+        over.set()
+        renaming.join(PATIENCE_S)
+    assert len(tasks.all()) == len(tasks) == len(taken) + 1
+    assert all(task.name in tasks for task in taken)

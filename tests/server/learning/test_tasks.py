@@ -1,18 +1,30 @@
-"""The tasks in service: looked up in the same time however many there are, and changed by any thread."""
+"""The tasks in service: bounded, looked up in the same time however many there are, and changed by any thread."""
 
 from __future__ import annotations
 
 import sys
 import threading
 import tracemalloc
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from pathlib import Path
 from typing import Any
 
+import msgpack
 import pytest
+import zenoh
 
-from crkr.protocol import ShuttingDown, TaskSpec, UnknownTask
+from crkr.learner import Model
+from crkr.protocol import ShuttingDown, TaskSpec, UnknownTask, rpc_key
+from crkr.server.learning.restore import restored
 from crkr.server.learning.tasks import ServedTask, Tasks
-from crkr.server.log import Event
+from crkr.server.learning.thread import Learning
+from crkr.server.log import Event, SqliteLog
+from crkr.server.metrics.durations import Latencies
+from crkr.server.queries.request import Request
+from crkr.server.session import open_session
+from crkr.server.verbs.report import Writer
+from crkr.server.workers import Workers
 
 PATIENCE_S = 60.0
 MANY = 20_000
@@ -94,3 +106,43 @@ def test_a_task_that_is_taken_while_another_is_renamed_is_served(quick_switches:
         renaming.join(PATIENCE_S)
     assert len(tasks.all()) == len(tasks) == len(taken) + 1
     assert all(task.name in tasks for task in taken)
+
+
+def test_where_there_are_too_many_tasks_none_is_made_and_all_are_served(
+    tmp_path: Path, free_port: int, plain: Callable[[str], zenoh.Session]
+) -> None:
+    def ignore(_task: ServedTask, _before: Model | None = None, _after: Model | None = None) -> None:
+        """Publishes no models."""
+
+    endpoint, names = f"tcp/127.0.0.1:{free_port}", ["a", "b", "c"]
+    tasks = Tasks(most=2)
+    with closing(SqliteLog(tmp_path)) as log, open_session(endpoint, None) as session:
+        for name in names:  # as of an earlier version
+            log.create(made(name).created)
+            tasks.add(restored(log.reads, name))
+        writer = Writer(log, tasks, Workers(), Learning(ignore, ignore, ignore))
+        queries = session.declare_queryable(rpc_key("create_task"), zenoh.handlers.FifoChannel(4), complete=True)
+        asking = plain(endpoint)
+
+        def create(name: str) -> Any:
+            given = msgpack.packb(made(name).created.to_dict())
+            replies = asking.get(
+                rpc_key("create_task"), zenoh.handlers.FifoChannel(1), payload=given, timeout=PATIENCE_S
+            )
+            writer.change([Request(queries.recv(), Latencies())])
+            reply = replies.recv()
+            body = reply.ok or reply.err
+            assert body is not None
+            return msgpack.unpackb(body.payload.to_bytes())
+
+        refusal = create("d")
+        assert refusal["code"] == "INVALID"
+        assert "crkr delete" in refusal["message"]
+        assert refusal["details"] == {"most": 2}
+        with pytest.raises(UnknownTask):
+            log.reads.event("d", 1)
+        assert tasks.names() == names
+        assert create("a")["created"] is False  # it is found as before
+        for name in ("a", "b"):
+            tasks.move(name, moved(name, None))
+        assert create("d")["created"] is True

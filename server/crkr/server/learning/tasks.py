@@ -14,7 +14,7 @@ from uuid import UUID
 import numpy as np
 
 from crkr.learner import Advice, Learner, Model, TrialColumns, advise
-from crkr.protocol import KINDS, Internal, ShuttingDown, TaskSpec, UnknownTask, pack, task_id
+from crkr.protocol import KINDS, Internal, Invalid, ShuttingDown, TaskSpec, UnknownTask, pack, task_id
 from crkr.server.log import Corrections, Event, LoggedTrial
 from crkr.server.thread_faults import FAULTS
 
@@ -24,6 +24,7 @@ logger = logging.getLogger(__name__)
 
 _MOST_NAMED: Final = 20  # tasks that an error names
 _RETRY_MS: Final = 100
+_MOST: Final = 20_000  # tasks from which on none is made; each takes 20 kB at least, and time at every start
 
 
 @final
@@ -194,11 +195,16 @@ class Tasks:
     The writer changes the tasks, and membership adds to them and notes the names, each as a whole. Readers need no
     lock: dictionaries are copied atomically.
 
+    Args:
+        moves: Renames and deletions of the log.
+        most: Tasks from which on none is made; more are served if the log has them.
+
     Attributes:
         creates: Whether this server creates new tasks.
     """
 
-    def __init__(self, moves: Iterable[Event] = ()) -> None:
+    def __init__(self, moves: Iterable[Event] = (), most: int = _MOST) -> None:
+        self._most = most
         self._lock = threading.Lock()  # of every change
         self._by_name: dict[str, ServedTask] = {}
         # Names of the log, in order, with those served here; empty where no other server serves.
@@ -207,6 +213,15 @@ class Tasks:
         self._moves: dict[tuple[str, str, bytes], Event] = {}
         self._former: set[str] = set()
         self.note_moves(moves)
+
+    def check_room(self) -> None:
+        """Raises `Invalid` if there are too many tasks to make another."""
+        if len(self) >= self._most:
+            raise Invalid(
+                f"{len(self)} tasks are there already, and a server makes at most {self._most}: delete one that is not "
+                "needed (crkr delete), or start another server with a log of its own",
+                details={"most": self._most},
+            )
 
     def add(self, task: ServedTask) -> None:
         """Put a task into service."""

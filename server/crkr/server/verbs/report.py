@@ -174,6 +174,7 @@ class Writer:
         refuse_absurd(spec)
         task = ServedTask(spec)  # raises for unsupported settings, before anything is stored
         with self._order:
+            self._tasks.check_room()
             self._recover()
             with self.commits.timing():
                 creation = self._log.create(spec)

@@ -165,20 +165,29 @@ def test_a_repeat_of_a_question_is_answered_with_the_first_and_worked_at_once_on
     lane.close(5.0)
 
 
-def test_an_earlier_repeat_is_handed_back_and_not_dropped_by_the_lane(asking: Asking) -> None:
-    lane = Lane[Request]("repeats", {"predict": 10}, done, joins=True)
-    asked = [asking(message={"states": [[0.1, 0.2]], "trial_ids": [bytes(16)]}) for _ in range(5)]
-    handed_back: list[Request] = []
-    for request, _ in asked:
-        assert lane.offer(request, handed_back.append) is None
-    assert handed_back == [request for request, _ in asked[1:3]]
-    assert not any(request.answered for request in handed_back)
+def test_earlier_repeats_are_dropped_by_the_thread_that_answers_and_few_wait_for_it(asking: Asking) -> None:
+    lane = Lane[Request]("repeats", {"predict": 3}, done, joins=True)
+    asked = [asking(message={"states": [[0.1, 0.2]], "trial_ids": [bytes(16)]}) for _ in range(8)]
+    taken = [lane.offer(request) is None for request, _ in asked]
+    assert taken == [True] * 6 + [False] * 2  # one waits, two are answered with it, and three are to be dropped
+    assert not any(request.answered for request, _ in asked)
     lane.start()
-    for _, replies in [asked[0], *asked[3:]]:
+    for _, replies in [asked[0], *asked[4:6]]:
         assert code(replies) is None
-    for request in handed_back:
-        request.let_go()
+    for _, replies in asked[1:4]:
+        with pytest.raises(zenoh.ZError):
+            replies.recv()
     lane.close(5.0)
+    for request, _ in asked[6:]:
+        request.let_go()
+
+
+def test_earlier_repeats_are_dropped_as_a_lane_closes(asking: Asking) -> None:
+    lane = Lane[Request]("repeats", {"predict": 3}, done, joins=True)
+    asked = [asking(message={"states": [[0.1, 0.2]], "trial_ids": [bytes(16)]}) for _ in range(5)]
+    assert [lane.offer(request) for request, _ in asked] == [None] * 5
+    lane.close(5.0)
+    assert all(request.answered for request, _ in asked)
 
 
 def test_one_client_has_a_part_of_a_lane_only(asking: Asking) -> None:

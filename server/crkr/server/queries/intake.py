@@ -199,7 +199,7 @@ class Intake:
             self._refuse(request, self._unknown(request.verb))
         elif self._is_served(request):
             request.read_metadata()
-            refusal = lane.offer(request, self._drop)
+            refusal = lane.offer(request)
             if refusal is not None:
                 self._refuse(request, refusal)
 

@@ -79,6 +79,8 @@ class Lane(Generic[_Job]):
         # Client -> its requests of each verb, and their bytes.
         self._of_clients: Counter[tuple[bytes, str]] = Counter()
         self._asked: dict[tuple[Any, ...], Request] = {}  # questions that may be joined, by fingerprint
+        # Earlier repeats, to be dropped. That may block, as answers to the same client do, hence is this thread's work.
+        self._over: list[Request] = []
         self._lock = threading.Lock()
         # Releasing a lock wakes the thread in half the time of a condition.
         self._bell = threading.Lock()
@@ -91,36 +93,35 @@ class Lane(Generic[_Job]):
         """Start to work."""
         self._thread.start()
 
-    def offer(self, request: _Job, drop: Callable[[Request], object] = Request.let_go) -> CrkrError | None:
-        """Queue a request, or return a refusal for the caller to send.
-
-        Args:
-            request: The request.
-            drop: Called with an earlier repeat of the question that is not answered any more. Dropping it may block.
-        """
+    def offer(self, request: _Job) -> CrkrError | None:
+        """Queue a request, or return a refusal for the caller to send."""
         question = request if self._joins and isinstance(request, Request) else None
-        over: Request | None = None
         if question is not None:
             question.identify()
         with self._lock:
-            known = None
             if question is not None and question.fingerprint is not None:
                 known = self._asked.get(question.fingerprint)
-            if question is not None and known is not None:
-                over, ring = known.join(question), False
-            else:
-                full = self._is_full(request)
-                if full or self._closing:
-                    return busy(request.verb) if full else shutting_down()
-                if question is not None and question.fingerprint is not None:
-                    self._asked[question.fingerprint] = question
-                self._count(request, 1)
-                self._queue.append(request)
-                ring, self._asleep = self._asleep, False
+                if known is not None:
+                    return self._join(known, question)
+            full = self._is_full(request)
+            if full or self._closing:
+                return busy(request.verb) if full else shutting_down()
+            if question is not None and question.fingerprint is not None:
+                self._asked[question.fingerprint] = question
+            self._count(request, 1)
+            self._queue.append(request)
+            ring, self._asleep = self._asleep, False
         if ring:
             self._bell.release()
+        return None
+
+    def _join(self, known: Request, repeat: Request) -> CrkrError | None:
+        if len(self._over) >= self._limits[repeat.verb] or self._bytes + repeat.size > _MOST_BYTES:
+            return busy(repeat.verb)
+        over = known.join(repeat)
         if over is not None:
-            drop(over)
+            self._over.append(over)
+            self._bytes += over.size
         return None
 
     def _is_full(self, request: _Job) -> bool:
@@ -170,6 +171,7 @@ class Lane(Generic[_Job]):
         for request in left:
             request.fail(shutting_down())
             self._finish(request)
+        self._drop_over()
 
     def _step(self) -> bool:
         batch, late = self._take()
@@ -178,6 +180,7 @@ class Lane(Generic[_Job]):
             self._finish(request)
         began = time.monotonic()
         unfinished = self._attempt(batch) if batch else ()
+        self._drop_over()
         if unfinished:
             with self._lock:
                 for request in unfinished:
@@ -216,6 +219,15 @@ class Lane(Generic[_Job]):
             with self._lock:
                 self._asked.pop(request.fingerprint, None)
             request.answer_repeats()
+
+    def _drop_over(self) -> None:
+        if not self._over:  # if some come now, so does another step: their question waits
+            return
+        with self._lock:
+            over, self._over = self._over, []
+            self._bytes -= sum(request.size for request in over)
+        for request in over:
+            request.let_go()
 
     def _take(self) -> tuple[list[_Job], list[_Job]]:
         """The next batch and the requests that waited too long; both empty once the lane closes."""

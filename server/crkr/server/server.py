@@ -34,7 +34,7 @@ from crkr.server.queries.intake import Intake
 from crkr.server.queries.queue import Lane
 from crkr.server.queries.refusals import Refuser
 from crkr.server.session import DEFAULT_LISTEN, endpoints, open_session
-from crkr.server.session_renewal import SessionRenewal, cut_connections, is_broken
+from crkr.server.session_renewal import SessionRenewal, cut_connections, is_broken, works_alone
 from crkr.server.thread_faults import FAULTS
 from crkr.server.verbs.predict import Predictor
 from crkr.server.verbs.read import Reader, task_entry
@@ -136,7 +136,7 @@ class Server:
             log.sizes, self.tasks, self._latencies, self._workers, self._learning, commits, self._queues
         )
         long = {task.name: task.seq for task in self.tasks.all() if task.seq > FEW}  # others were read row by row
-        self._renewal = SessionRenewal(self._renew_session, lambda: is_broken(self._session), _give_up)
+        self._renewal = SessionRenewal(self._renew_session, lambda: is_broken(self._session), _give_up, works_alone)
         self._seals = SealCheck(log.where, long, self._found_damage)
         self._token: zenoh.LivelinessToken | None = None
         self._start()

@@ -16,7 +16,7 @@ from crkr.protocol import MAX_MESSAGE_BYTES, CrkrError, Invalid, Unavailable
 from crkr.protocol.keys import live_peer_key
 from crkr.protocol.zenoh_files import named_files, refusing_panics
 
-__all__ = ["DEFAULT_LISTEN", "endpoints", "open_session", "reachable_servers"]
+__all__ = ["DEFAULT_LISTEN", "endpoints", "open_private_session", "open_session", "reachable_servers"]
 
 DEFAULT_LISTEN: Final = "tcp/127.0.0.1:7447"
 
@@ -79,6 +79,12 @@ def open_session(
         if "Address already in use" in reason:
             reason = "the port is in use; stop what listens there or choose another"
         raise Unavailable(f"cannot listen on {where}: {reason}") from error
+
+
+def open_private_session() -> zenoh.Session:
+    """Open a router session that listens nowhere and connects to nobody."""
+    with refusing_panics():
+        return zenoh.open(_config(None, None, {"listen/endpoints": []}))
 
 
 def reachable_servers(peers: Sequence[str], config_file: Path | None) -> set[str]:

@@ -95,7 +95,7 @@ class WebProcess:
                 process.wait(_ENDS_S)
             except subprocess.TimeoutExpired:
                 process.kill()
-        if self._thread is not None:
+        if self._thread is not None and self._thread.is_alive():
             self._thread.join(_ENDS_S)
         self._socket.close()
 

@@ -105,7 +105,7 @@ class Workers:
 
     def join(self, patience_s: float) -> None:
         """Wait for the end of `watch`, after the session was closed."""
-        if self._thread is not None:
+        if self._thread is not None and self._thread.is_alive():
             self._thread.join(patience_s)
 
     def asked(self, task: str, worker: str, trials: Iterable[bytes]) -> None:

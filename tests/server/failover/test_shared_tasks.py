@@ -1,6 +1,7 @@
 """Two servers share the tasks of a log: either answers for all, and what one leaves the other takes."""
 
 import signal
+import threading
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -10,7 +11,11 @@ from postgres import Postgres, TcpLink
 from processes import Processes
 
 from crkr.client import Client
-from crkr.protocol import Conflict, TaskSpec, UnknownTask
+from crkr.protocol import Conflict, ShuttingDown, TaskSpec, UnknownTask
+from crkr.server.log.postgres.lease import Lease
+from crkr.server.log.postgres.log import PostgresLog
+from crkr.server.membership import Membership
+from crkr.server.server import Server, ServerSettings
 
 from .test_failover import check_log
 
@@ -147,3 +152,15 @@ def test_a_peer_that_is_cut_off_from_the_database_leaves_its_tasks_to_the_other(
         processes.wait_until(lambda: first.says("standing by"), first.log)
         reporters.end()
         check_log(pair.url, reporters.acknowledged)
+
+
+def test_a_server_that_does_not_reach_the_others_closes_what_it_opened(
+    pair: Any, free_port: int, processes: Processes
+) -> None:
+    lease = Lease(pair.url, free_port)
+    lease.look()
+    log = PostgresLog(pair.url, lease)
+    settings = ServerSettings(pair.url, f"tcp/127.0.0.1:{free_port}")
+    with pytest.raises(ShuttingDown, match="not reached"):
+        Server(settings, log, [], Membership(log, lambda _: None))
+    processes.wait_until(lambda: not any(thread.name == "lease" for thread in threading.enumerate()))

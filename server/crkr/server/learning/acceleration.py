@@ -60,12 +60,15 @@ class Acceleration:
         try:
             started = time.monotonic()
             context = multiprocessing.get_context("spawn")  # a fork would break Zenoh's threads
-            self._process = context.Process(target=_compile, name="compile", daemon=True)
-            self._process.start()
-            self._process.join()
+            process = context.Process(target=_compile, name="compile", daemon=True)
+            process.start()
+            self._process = process  # only now: one that did not start cannot be terminated
+            if self._stopped.is_set():
+                process.terminate()
+            process.join()
             if self._stopped.is_set():
                 return
-            if self._process.exitcode or self._code.is_replaced:
+            if process.exitcode or self._code.is_replaced:
                 logger.warning("the selection was not compiled; learning continues without it; a restart tries again")
                 return
             accelerate()

@@ -100,9 +100,10 @@ class Fitting:
     def stop(self) -> None:
         """Abort the current fit and end the process."""
         self._stopped.set()
-        if self._process is not None:
-            self._process.kill()  # it may be stopped
-            self._process.join(0.5)
+        process = self._process  # the lane's thread may discard it meanwhile
+        if process is not None:
+            process.kill()  # it may be stopped
+            process.join(0.5)
 
     def _problem(self, task: ServedTask) -> FitProblem:
         """The fit problem; only the learning thread may ask the learner."""

@@ -247,7 +247,7 @@ class Lease:
     def give_up(self) -> None:
         """Release the tasks at once; idempotent."""
         self._stopped.set()
-        if self._thread is not None:
+        if self._thread is not None and self._thread.is_alive():
             self._thread.join(_BEAT_S)
         if self._connection is not None and (self._thread is None or not self._thread.is_alive()):
             with self._connection, suppress(psycopg.Error):

@@ -11,7 +11,8 @@ from typing import Any, NoReturn
 import msgpack
 import pytest
 import zenoh
-from processes import Processes
+from processes import Processes, RunningServer
+from zenoh_wire import changed_on_the_way
 
 from crkr.protocol import TaskSpec, task_key
 from crkr.server.inspection.synthetic_log import fill
@@ -23,6 +24,8 @@ from crkr.server.queries.request import Request
 from crkr.server.session import open_session
 
 Ask = Callable[..., dict[str, Any]]
+
+PATIENCE_S = 60.0
 
 
 def code(reply: zenoh.Reply) -> str:
@@ -147,6 +150,21 @@ def test_a_signal_right_after_the_start_ends_the_server(free_port: int, tmp_path
             assert "listening on" in process.stderr.readline()
             process.send_signal(number)
             assert process.wait(timeout=60) == 0
+
+
+def test_a_signal_while_a_client_has_broken_the_session_ends_the_server_in_order(
+    server: RunningServer, reach: dict[str, Any], connect: Callable[[str], Ask], plain: Callable[[str], zenoh.Session]
+) -> None:
+    assert connect(server.endpoint)("rpc/create_task", reach)["created"]
+    # A worker's token becomes one on no key.
+    with changed_on_the_way(server.port, lambda batch: batch.replace(b"live/worker", b"liv*/worker")) as endpoint:
+        hostile = plain(endpoint)
+        token = hostile.liveliness().declare_token("crkr/@v1/task/reach/live/worker/w")
+        while b"panicked" not in server.log.read_bytes():
+            list(hostile.get(task_key("reach", "status"), payload=b"\x80", timeout=0.1))
+        server.process.send_signal(signal.SIGTERM)
+        assert server.process.wait(timeout=PATIENCE_S) == 0
+        assert token is not None
 
 
 def test_a_server_under_nohup_goes_on_when_the_terminal_is_closed(

@@ -7,7 +7,7 @@ import math
 import os
 import threading
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -35,7 +35,7 @@ from crkr.server.queries.queue import Lane
 from crkr.server.queries.refusals import Refuser
 from crkr.server.session import DEFAULT_LISTEN, endpoints, open_session
 from crkr.server.session_renewal import SessionRenewal, cut_connections, is_broken, works_alone
-from crkr.server.thread_faults import FAULTS
+from crkr.server.thread_faults import FAULTS, started
 from crkr.server.verbs.predict import Predictor
 from crkr.server.verbs.read import Reader, task_entry
 from crkr.server.verbs.report import MOST_REPORTS, Writer
@@ -51,7 +51,8 @@ logger = logging.getLogger(__name__)
 _QUEUE: Final = 256
 # For a question about many states without a deadline, as from clients of version 0.1.
 _PREDICT_PATIENCE_S: Final = 30.0
-_RENEWAL_S: Final = 1.0  # for a broken session to close
+_CLOSES_S: Final = 1.0  # for a session to close, which may be broken
+_UNDECLARED_S: Final = 0.2  # for its token to be undeclared
 _BROKEN: Final = 75  # exit status without a session, so that a supervisor restarts the process
 # For any other question without a deadline: less than Zenoh's default timeout of 10 s.
 _PATIENCE_S: Final = 7.5
@@ -59,11 +60,18 @@ _LONGEST_S: Final = 4.0  # longest wait of a question for its turn; an ordinary 
 _DRAIN_S: Final = 1.0  # for requests received before the stop
 
 
-def _close_broken(session: zenoh.Session) -> None:
-    try:
-        session.close()  # type: ignore[no-untyped-call]  # zenoh's stub lacks the type
-    except BaseException as error:
-        logger.debug("the broken session did not close cleanly: %r", error)
+def _end(end: Callable[[], None], patience_s: float) -> None:
+    """Close a session or undeclare a token. Never raises: what is broken panics or hangs."""
+
+    def attempt() -> None:
+        try:
+            end()
+        except BaseException as error:
+            logger.debug("the session did not end cleanly: %r", error)
+
+    ending = threading.Thread(target=attempt, name="session end", daemon=True)
+    if started(ending):
+        ending.join(patience_s)
 
 
 def _give_up() -> None:
@@ -224,10 +232,7 @@ class Server:
     def _renew_session(self) -> None:
         """Close the session and open another; clients reconnect by themselves."""
         logger.error("Zenoh panics again and again: its session is opened again, and clients reconnect")
-        # A broken session panics or hangs as it closes, but its port is free.
-        closing = threading.Thread(target=_close_broken, args=(self._session,), name="session end", daemon=True)
-        closing.start()
-        closing.join(_RENEWAL_S)
+        _end(self._session.close, _CLOSES_S)  # one that panics or hangs has freed its port by then
         cut_connections(endpoints(self._settings.listen, self._settings.zenoh_config))
         self._session = self._open_session()
         self._notices.move(self._session)
@@ -281,11 +286,8 @@ class Server:
         if self._membership is not None:
             self._membership.stop(_DRAIN_S)
         self._renewal.stop(_DRAIN_S)
-        try:
-            if self._token is not None:
-                self._token.undeclare()  # type: ignore[no-untyped-call]  # zenoh's stub lacks the type
-        except zenoh.ZError as error:
-            logger.debug("liveliness token was not undeclared: %s", error)
+        if self._token is not None:
+            _end(self._token.undeclare, _UNDECLARED_S)
         for intake in self._intakes:
             intake.stop()
         self._fitting.stop()
@@ -304,10 +306,7 @@ class Server:
             self._log.close()
         except StorageError as error:  # acknowledged entries are safe in the write-ahead log
             logger.warning("the task log was not closed cleanly: %s", error.message)
-        try:
-            self._session.close()  # type: ignore[no-untyped-call]  # zenoh's stub lacks the type
-        except zenoh.ZError as error:
-            logger.warning("the session did not close cleanly: %s", error)
+        _end(self._session.close, _CLOSES_S)
         for intake in self._intakes:
             intake.join(0.5)
         self._workers.join(0.5)

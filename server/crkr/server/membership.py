@@ -146,7 +146,7 @@ class Membership:
         Raises:
             ShuttingDown: Too many wait already.
         """
-        if len(self._serving) == 1:
+        if len(self._serving) == 1 and set(self._tokens) <= {self.zenoh_id}:  # a new one's token shows before its entry
             return False
         if len(self._unknown) >= _MOST_UNKNOWN:
             raise ShuttingDown("too many questions about unknown tasks wait already: ask again")

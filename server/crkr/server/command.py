@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, NoReturn
 import typer
 
 if TYPE_CHECKING:
-    from crkr.server.learning.tasks import ServedTask
+    from crkr.server.learning.served_task import ServedTask
     from crkr.server.log import TaskLog
     from crkr.server.membership import Membership
     from crkr.server.metrics.endpoint import MetricsEndpoint

@@ -15,7 +15,7 @@ from typing import Final, final
 from crkr.protocol import CrkrError, ShuttingDown
 from crkr.server.learning.acceleration import Acceleration
 from crkr.server.learning.restore import catch_up, restore_all
-from crkr.server.learning.tasks import ServedTask
+from crkr.server.learning.served_task import ServedTask
 from crkr.server.log import DELETED
 from crkr.server.log.access import read_log
 from crkr.server.log.postgres.lease import Lease

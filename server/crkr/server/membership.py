@@ -24,7 +24,8 @@ import zenoh
 from crkr.protocol import CrkrError, ShuttingDown, StorageError, UnknownTask, encoding, pack, rpc_key, unpack
 from crkr.protocol.keys import live_peer_key
 from crkr.server.learning.restore import restored
-from crkr.server.learning.tasks import ServedTask, Tasks
+from crkr.server.learning.served_task import ServedTask
+from crkr.server.learning.tasks import Tasks
 from crkr.server.log import DELETED
 from crkr.server.log.postgres.lease import LEASE_S, Member, Roster, TaskRow
 from crkr.server.log.postgres.log import PostgresLog

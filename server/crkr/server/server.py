@@ -25,7 +25,8 @@ from crkr.server.learning.fit import DueFit, Fitting
 from crkr.server.learning.notices import Notices
 from crkr.server.learning.radii_cache import RadiiKeeper
 from crkr.server.learning.restore import FEW, relearned
-from crkr.server.learning.tasks import ServedTask, Tasks
+from crkr.server.learning.served_task import ServedTask
+from crkr.server.learning.tasks import Tasks
 from crkr.server.learning.thread import Learning
 from crkr.server.log import Event, TaskLog
 from crkr.server.metrics.collector import MetricSources

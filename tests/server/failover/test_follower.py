@@ -11,7 +11,7 @@ import pytest
 
 from crkr.server.follower import Follower
 from crkr.server.learning.restore import FEW, catch_up, restore_all
-from crkr.server.learning.tasks import ServedTask
+from crkr.server.learning.served_task import ServedTask
 from crkr.server.log import PendingReport, read_log
 from crkr.server.log.postgres.log import PostgresLog
 

@@ -23,7 +23,7 @@ from crkr.client.network.config import Connection
 from crkr.client.network.zenoh_transport import ZenohTransport
 from crkr.client.rpc import Rpc
 from crkr.protocol import MAX_MESSAGE_BYTES, Invalid, TaskSpec, task_key
-from crkr.server.learning.tasks import ServedTask
+from crkr.server.learning.served_task import ServedTask
 from crkr.server.log import Event, SqliteLog
 from crkr.server.metrics.durations import Latencies
 from crkr.server.queries.intake import Intake

@@ -17,7 +17,8 @@ import zenoh
 from crkr.learner import Model
 from crkr.protocol import ShuttingDown, TaskSpec, UnknownTask, rpc_key
 from crkr.server.learning.restore import restored
-from crkr.server.learning.tasks import ServedTask, Tasks
+from crkr.server.learning.served_task import ServedTask
+from crkr.server.learning.tasks import Tasks
 from crkr.server.learning.thread import Learning
 from crkr.server.log import Event, SqliteLog
 from crkr.server.metrics.durations import Latencies

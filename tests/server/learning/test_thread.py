@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from crkr.protocol import Internal, TaskSpec, Trial
-from crkr.server.learning.tasks import ServedTask
+from crkr.server.learning.served_task import ServedTask
 from crkr.server.learning.thread import Learning
 from crkr.server.log import Event, LoggedTrial
 

@@ -11,7 +11,8 @@ import zenoh
 
 from crkr.learner import Model
 from crkr.protocol import TaskSpec
-from crkr.server.learning.tasks import ServedTask, Tasks
+from crkr.server.learning.served_task import ServedTask
+from crkr.server.learning.tasks import Tasks
 from crkr.server.learning.thread import Learning
 from crkr.server.learning.waits import Waits
 from crkr.server.log import SqliteLog

@@ -17,7 +17,8 @@ import pytest
 from crkr.learner import Model
 from crkr.protocol import Busy, CrkrError, TaskSpec, Trial
 from crkr.server.learning.fit import Fitting
-from crkr.server.learning.tasks import ServedTask, Tasks
+from crkr.server.learning.served_task import ServedTask
+from crkr.server.learning.tasks import Tasks
 from crkr.server.learning.thread import Learning
 from crkr.server.log import LoggedTrial, SqliteLog
 from crkr.server.metrics.durations import Latencies

@@ -9,7 +9,8 @@ import zenoh
 
 from crkr.learner import Model
 from crkr.protocol import Prediction, TaskSpec, Trial, array_to_wire, pack, task_key
-from crkr.server.learning.tasks import ServedTask, Tasks
+from crkr.server.learning.served_task import ServedTask
+from crkr.server.learning.tasks import Tasks
 from crkr.server.metrics.durations import Latencies
 from crkr.server.queries.request import Request
 from crkr.server.session import open_session

@@ -14,7 +14,8 @@ import zenoh
 from crkr.learner import Model
 from crkr.protocol import Conflict, CrkrError, Invalid, ShuttingDown, TaskSpec, task_key
 from crkr.server.learning.fit import Fitting
-from crkr.server.learning.tasks import ServedTask, Tasks
+from crkr.server.learning.served_task import ServedTask
+from crkr.server.learning.tasks import Tasks
 from crkr.server.learning.thread import Learning
 from crkr.server.log import SqliteLog
 from crkr.server.metrics.durations import Latencies

@@ -15,7 +15,7 @@ from crkr.protocol import Invalid, TaskSpec, id_from_wire, make_trials
 from crkr.server.data_commands import replay
 from crkr.server.inspection.verification import verify
 from crkr.server.learning.restore import FEW, relearned, restore
-from crkr.server.learning.tasks import ServedTask
+from crkr.server.learning.served_task import ServedTask
 from crkr.server.log import Event, PendingReport, SqliteLog, Stored
 from crkr.server.verbs.admin import read_change
 from crkr.server.verbs.rollback import read_rollback

@@ -12,7 +12,7 @@ from crkr.learner import Kernel, Learner, radii_kdtree, top
 from crkr.protocol import CrkrError, NoSamples, StorageError, TaskSpec, Trial, UnknownTask
 from crkr.server.learning.radii_cache import load_radii
 from crkr.server.learning.restore import batches, restore
-from crkr.server.learning.tasks import apply_entries
+from crkr.server.learning.served_task import apply_entries
 from crkr.server.log import Corrections, Event, LogReader, Visible
 
 __all__ = ["Verdict", "verify"]

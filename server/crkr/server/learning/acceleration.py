@@ -15,7 +15,7 @@ from typing import Final, final
 
 from crkr.learner import accelerable, accelerate
 from crkr.server.installed_code import InstalledCode
-from crkr.server.learning.tasks import ServedTask
+from crkr.server.learning.served_task import ServedTask
 from crkr.server.thread_faults import started
 
 __all__ = ["LONG", "MUCH_TO_SEARCH", "Acceleration", "accelerate_search"]

@@ -16,7 +16,8 @@ from typing import Any, Final, final
 from crkr.learner import FitProblem, FitResult, check_fit, fit
 from crkr.protocol import Busy, CrkrError, Internal, ShuttingDown, Unsupported
 from crkr.server.installed_code import InstalledCode
-from crkr.server.learning.tasks import ServedTask, Tasks
+from crkr.server.learning.served_task import ServedTask
+from crkr.server.learning.tasks import Tasks
 from crkr.server.learning.thread import Learning
 from crkr.server.queries.queue import busy, shutting_down
 from crkr.server.queries.request import Job, Request

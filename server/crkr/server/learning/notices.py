@@ -11,7 +11,7 @@ import zenoh
 
 from crkr.learner import Model
 from crkr.protocol import encoding, pack, pub_key
-from crkr.server.learning.tasks import ServedTask
+from crkr.server.learning.served_task import ServedTask
 from crkr.server.thread_faults import FAULTS
 
 __all__ = ["Notices"]

@@ -10,7 +10,7 @@ import numpy as np
 
 from crkr.learner import RadiiCache
 from crkr.protocol import CrkrError
-from crkr.server.learning.tasks import ServedTask
+from crkr.server.learning.served_task import ServedTask
 from crkr.server.log import LogReader, TaskLog
 
 __all__ = ["MANY", "RadiiKeeper", "load_radii", "save_radii"]

@@ -25,7 +25,7 @@ from crkr.protocol import (
 )
 from crkr.server.learning.acceleration import MUCH_TO_SEARCH, accelerate_search
 from crkr.server.learning.radii_cache import load_radii
-from crkr.server.learning.tasks import ServedTask, apply_entries
+from crkr.server.learning.served_task import ServedTask, apply_entries
 from crkr.server.log import DELETED, Event, LoggedTrial, LogReader, SqliteLog, Visible
 
 __all__ = ["FEW", "batches", "begun", "catch_up", "open_directory", "relearned", "restore", "restore_all", "restored"]

@@ -19,7 +19,7 @@ from typing import Any, Final, final
 from crkr.learner import Learner, Model
 from crkr.protocol import Internal
 from crkr.server.learning.lines import Line, Step, WaitingTasks, size
-from crkr.server.learning.tasks import ServedTask, apply_entries
+from crkr.server.learning.served_task import ServedTask, apply_entries
 from crkr.server.learning.waits import LONGEST_S
 from crkr.server.log import Event, LoggedTrial
 from crkr.server.metrics.durations import Durations

@@ -18,7 +18,8 @@ from prometheus_client.registry import Collector
 
 from crkr.learner.advice import ADVICE_CODES
 from crkr.protocol import KINDS, PROTOCOL_VERSION
-from crkr.server.learning.tasks import ServedTask, Tasks
+from crkr.server.learning.served_task import ServedTask
+from crkr.server.learning.tasks import Tasks
 from crkr.server.learning.thread import Learning
 from crkr.server.metrics.durations import Durations, Latencies
 from crkr.server.thread_faults import FAULTS

@@ -24,7 +24,7 @@ from crkr.protocol.checks import cost_number, finite_array, required, text
 from crkr.protocol.codec import array_from_wire
 from crkr.protocol.errors import shown
 from crkr.protocol.specification.task_spec import CHANGEABLE
-from crkr.server.learning.tasks import ServedTask, hyperparameters
+from crkr.server.learning.served_task import ServedTask, hyperparameters
 from crkr.server.log import DELETED, Event, values_of
 
 __all__ = ["Answer", "Change", "amendment", "moved", "read_change", "refuse_unknown", "removal"]

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from typing import Any, Final, final
 
 from crkr.protocol import Busy
-from crkr.server.learning.tasks import ServedTask
+from crkr.server.learning.served_task import ServedTask
 from crkr.server.learning.thread import Learning
 from crkr.server.learning.waits import Waits
 from crkr.server.queries.queue import busy

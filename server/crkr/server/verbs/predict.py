@@ -29,7 +29,8 @@ from crkr.protocol import (
     unpack,
 )
 from crkr.protocol.messages.predict_bytes import Question, packed_rows, read_question, state_bytes
-from crkr.server.learning.tasks import ServedTask, Tasks
+from crkr.server.learning.served_task import ServedTask
+from crkr.server.learning.tasks import Tasks
 from crkr.server.queries.request import Request
 from crkr.server.workers import Workers
 

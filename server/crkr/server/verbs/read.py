@@ -26,7 +26,8 @@ from crkr.protocol import (
     trial_ids,
 )
 from crkr.protocol.checks import flag, integer, required
-from crkr.server.learning.tasks import ServedTask, Tasks, hyperparameters
+from crkr.server.learning.served_task import ServedTask, hyperparameters
+from crkr.server.learning.tasks import Tasks
 from crkr.server.learning.thread import Learning
 from crkr.server.log import LogReader
 from crkr.server.metrics.durations import Latencies

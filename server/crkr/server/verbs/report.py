@@ -27,7 +27,8 @@ from crkr.protocol import (
     refuse_absurd,
 )
 from crkr.server.learning.restore import batches
-from crkr.server.learning.tasks import ServedTask, Tasks
+from crkr.server.learning.served_task import ServedTask
+from crkr.server.learning.tasks import Tasks
 from crkr.server.learning.thread import Learning
 from crkr.server.log import Event, PendingReport, Stored, TaskLog
 from crkr.server.metrics.durations import Durations

@@ -9,7 +9,7 @@ from uuid import UUID
 
 from crkr.protocol import MAX_TRIALS, Invalid, TaskSpec, id_from_wire, pack
 from crkr.protocol.checks import integer, required, text
-from crkr.server.learning.tasks import ServedTask
+from crkr.server.learning.served_task import ServedTask
 from crkr.server.log import CORRECTIONS, Event, LogReader, values_of
 from crkr.server.verbs.admin import Change
 

@@ -7,7 +7,7 @@ from typing import Any, Final
 from uuid import UUID
 
 from crkr.protocol import Internal, Invalid, UndoRequest, id_from_wire
-from crkr.server.learning.tasks import ServedTask
+from crkr.server.learning.served_task import ServedTask
 from crkr.server.log import LogReader, values_of
 from crkr.server.verbs.admin import Answer, Change, amendment, removal
 

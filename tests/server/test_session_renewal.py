@@ -76,6 +76,13 @@ def never() -> bool:
     return False
 
 
+def break_until_mended(renewal: SessionRenewal, broken: threading.Event, processes: Processes) -> None:
+    renewal.start()
+    broken.set()
+    processes.wait_until(lambda: not broken.is_set())
+    renewal.stop(PATIENCE_S)
+
+
 @pytest.mark.parametrize("failures", [0, MOST_FAILURES - 1])
 def test_a_session_that_is_broken_is_renewed_until_one_works(failures: int, processes: Processes) -> None:
     broken, done = threading.Event(), []
@@ -86,10 +93,7 @@ def test_a_session_that_is_broken_is_renewed_until_one_works(failures: int, proc
             broken.clear()
 
     renewal = SessionRenewal(renew, broken.is_set, lambda: done.append("given up"), never)
-    renewal.start()
-    broken.set()
-    processes.wait_until(lambda: not broken.is_set())
-    renewal.stop(PATIENCE_S)
+    break_until_mended(renewal, broken, processes)
     assert done == ["renewed"] * (failures + 1)
 
 
@@ -110,10 +114,7 @@ def test_where_no_session_works_any_more_the_process_is_given_up(
 
     # A port that is taken is no matter of panics: that Zenoh works elsewhere does not help.
     renewal = SessionRenewal(renew, broken.is_set, give_up, lambda: isinstance(error, OSError))
-    renewal.start()
-    broken.set()
-    processes.wait_until(lambda: not broken.is_set())
-    renewal.stop(PATIENCE_S)
+    break_until_mended(renewal, broken, processes)
     assert done == ["renewed"] * MOST_FAILURES + ["given up"]
 
 
@@ -131,10 +132,7 @@ def test_while_zenoh_works_where_no_client_reaches_it_renewal_never_ends(
             raise error
 
     renewal = SessionRenewal(renew, broken.is_set, lambda: done.append("given up"), lambda: True)
-    renewal.start()
-    broken.set()
-    processes.wait_until(lambda: not broken.is_set())
-    renewal.stop(PATIENCE_S)
+    break_until_mended(renewal, broken, processes)
     assert done == ["renewed"] * (MOST_FAILURES + 1)
 
 

@@ -113,7 +113,7 @@ class Session:
         self._checking: threading.Thread | None = None
         self._patience_s, self._replaced = _ANSWERS_S, 0.0  # [s, monotonic]
         self._in_vain = False
-        self._end_other: Callable[[], object] = bool  # ends the session that may take over
+        self._end_other: weakref.finalize[..., Session] | None = None  # ends the session that may take over
         self._turn = 0  # the endpoint to try next
         self.obstacle: Obstacle | None = None
         self._look_again = 0.0  # [s, monotonic]
@@ -167,7 +167,8 @@ class Session:
             return
         with self._lock:
             finalizer, self._finalizer, self._session = self._finalizer, None, None
-        self._end_other()
+        if self._end_other is not None:
+            self._end_other()
         if finalizer is not None:
             finalizer()
             release(self)
@@ -264,12 +265,12 @@ class Session:
 
 
 def declare(
-    make: Callable[[zenoh.Session], _T | None],
+    make: Callable[[zenoh.Session], _T],
     what: str,
     connect: Callable[[float], zenoh.Session],
     owner: Session,
     deadline: float,
-) -> _T | None:
+) -> _T:
     """Declares something, again in the session that takes over, or where the router does not answer.
 
     Args:
@@ -284,11 +285,11 @@ def declare(
         Internal: Zenoh refuses.
     """
     while True:
-        session, failure = connect(deadline), None
+        session, failure = connect(deadline), ""
         try:
             with owner.calls:
                 made = make(session)
-            if made is not None:
+            if made is not None or time.monotonic() > deadline:
                 return made
         except NotConnected as error:
             owner.suspect()
@@ -297,9 +298,7 @@ def declare(
             if not session.is_closed():
                 raise Internal(f"{what} could not be declared: {brief(error)}") from error
             failure = "the session was closed"
-        if time.monotonic() > deadline:
-            if failure is None:
-                return None
+        if failure and time.monotonic() > deadline:
             raise Unavailable(f"{failure} at {owner.connection.endpoint}; is the server running?")
         owner.pause(_AGAIN_S * random.uniform(0.2, 1.0))
 

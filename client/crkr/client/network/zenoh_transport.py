@@ -220,10 +220,7 @@ class ZenohTransport(Closing):
             self.session.keep(subscription, session)
             return subscription
 
-        what = f"the subscription to task {task!r}"
-        if (made := declare(make, what, self.connect, self.session, deadline)) is None:
-            raise Internal(f"{what} could not be declared")
-        return made
+        return declare(make, f"the subscription to task {task!r}", self.connect, self.session, deadline)
 
     def announce(self, task: str, worker_id: str, deadline: float) -> Presence:
         """As `Transport.announce`."""
